@@ -1,0 +1,28 @@
+"""Assistax: a robot arm and a person, both with policies of their own, and tasks to do together.
+
+    import assistax
+    env = assistax.make("scratch")
+"""
+
+from typing import TYPE_CHECKING
+
+from assistax.errors import AssistaxError, SimulationError, UsageError
+
+if TYPE_CHECKING:
+    from assistax.env import Env, EnvConfig, EnvState, make
+    from assistax.tasks import TASKS
+
+__all__ = ["TASKS", "AssistaxError", "Env", "EnvConfig", "EnvState", "SimulationError", "UsageError", "make"]
+
+
+def __getattr__(name: str):
+    # JAX and MuJoCo take seconds to import; `assistax --help` should not.
+    if name == "TASKS":
+        from assistax.tasks import TASKS
+
+        return TASKS
+    if name in __all__:
+        from assistax import env
+
+        return getattr(env, name)
+    raise AttributeError(f"module 'assistax' has no attribute {name!r}")

@@ -1,0 +1,165 @@
+"""How fast is it here? Environment against bare engine, in turns, so that ratios hold on busy machines."""
+
+import time
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax.env import Env
+from assistax.errors import UsageError
+from assistax.physics import check_faults
+from assistax.stamp import peak_memory_mb, stamp
+
+
+def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
+    """Open loop: random actions, observations, rewards and auto-reset, in one jitted scan.
+
+    Returns a dict ready for JSON; rates are medians over alternating rounds:
+      env_steps_per_s: of the whole environment.
+      engine_steps_per_s: control steps/s of the bare engine, same scene, states and kind of actions;
+        on the C engine that is `mujoco.batch.Batch.step` itself, without JAX.
+      reset_share: the part of the step time that auto-reset takes.
+    """
+    if num_envs < 1:
+        raise UsageError(f"num_envs must be 1 or more, not {num_envs}.")
+    keys = jax.random.split(jax.random.key(0), num_envs)
+    began = time.perf_counter()
+    _, state = jax.block_until_ready(jax.jit(jax.vmap(env.reset))(keys))
+    started_s = time.perf_counter() - began
+
+    def act(key):
+        return {a: jax.random.uniform(key, (n,), minval=-1.0, maxval=1.0) for a, n in env.action_sizes.items()}
+
+    def with_reset(state, key):
+        actions = jax.vmap(act)(jax.random.split(key, num_envs))
+        obs, state, reward, _, _, info = jax.vmap(env.step)(jax.random.split(key, num_envs), state, actions)
+        return state, _used(obs, reward, info)
+
+    def without_reset(state, key):
+        actions = jax.vmap(act)(jax.random.split(key, num_envs))
+        state, obs, reward, _, _, info = jax.vmap(env.step_env)(state, actions)
+        return state, _used(obs, reward, info)
+
+    def engine_only(state, key):
+        ctrl = jax.vmap(lambda k: env._ctrl(act(k)))(jax.random.split(key, num_envs))
+        physics = jax.vmap(env.engine.step)(state.physics, ctrl)
+        return type(state)(physics, state.task, state.t, state.episode), physics.fault.max()
+
+    steps = 20
+    programs = {"env": with_reset, "no_reset": without_reset}
+    if env.engine.name != "mujoco":
+        programs["engine"] = engine_only
+    rollouts = {name: _rollout(body, steps) for name, body in programs.items()}
+    compile_s = 0.0
+    for name, rollout in rollouts.items():
+        began = time.perf_counter()
+        compiled = rollout.lower(state, jax.random.key(0)).compile()
+        compile_s = time.perf_counter() - began if name == "env" else compile_s
+        rollouts[name] = compiled
+        jax.block_until_ready(compiled(state, jax.random.key(0)))
+    bare = _BareBatch(env, num_envs, steps) if env.engine.name == "mujoco" else None
+
+    rates: dict[str, list[float]] = {"env": [], "no_reset": [], "engine": []}
+    key, deadline = jax.random.key(1), time.perf_counter() + seconds
+    fault = 0
+    while time.perf_counter() < deadline or len(rates["env"]) < 3:
+        key, k = jax.random.split(key)
+        for name, rollout in rollouts.items():
+            began = time.perf_counter()
+            after, out = jax.block_until_ready(rollout(state, k))
+            rates[name].append(num_envs * steps / (time.perf_counter() - began))
+            fault |= int(np.max(after.physics.fault))
+            if name == "env":
+                next_state = after
+        if bare:
+            rates["engine"].append(num_envs * steps / bare.time(state))
+        state = next_state
+    check_faults(fault, env.engine.name)
+    median = {name: float(np.median(values)) for name, values in rates.items()}
+    ratio = float(np.median(np.divide(rates["env"], rates["engine"])))
+    reset = float(np.median(1.0 - np.divide(rates["env"], rates["no_reset"])))
+    return {
+        "task": env.name,
+        "engine": env.engine.name,
+        "num_envs": num_envs,
+        "substeps": env.engine.substeps,
+        "env_steps_per_s": round(median["env"]),
+        "engine_steps_per_s": round(median["engine"]),
+        "env_over_engine": round(ratio, 3),
+        "reset_share": round(max(0.0, reset), 3),
+        "physics_steps_per_s": round(median["env"] * env.engine.substeps),
+        "simulated_seconds_per_s": round(median["env"] * env.dt, 1),
+        "compile_s": round(compile_s, 2),
+        "first_reset_s": round(started_s, 2),
+        "peak_memory_mb": round(peak_memory_mb()),
+        "rounds": len(rates["env"]),
+        **stamp(),
+    }
+
+
+def _used(obs, reward, info):
+    """Depend on everything a user would read, so that none of it is compiled away."""
+    sums = jax.tree.map(lambda x: jnp.sum(x, dtype=jnp.float32), (obs, reward, info))
+    return sum(jax.tree.leaves(sums))
+
+
+def _rollout(body, steps: int):
+    @jax.jit
+    def rollout(state, key):
+        return jax.lax.scan(body, state, jax.random.split(key, steps))
+
+    return rollout
+
+
+class _BareBatch:
+    """`mujoco.batch.Batch` alone, with random controls drawn beforehand."""
+
+    def __init__(self, env: Env, num_envs: int, steps: int):
+        from mujoco.batch import Batch
+
+        self.batch, self.substeps = Batch(env.model, num_envs, env.config.num_threads), env.engine.substeps
+        self.batch.bind("sensordata")
+        rng = np.random.default_rng(0)
+        actions = {a: jnp.asarray(rng.uniform(-1, 1, (steps, num_envs, n))) for a, n in env.action_sizes.items()}
+        self.ctrl = np.asarray(jax.vmap(jax.vmap(env._ctrl))(actions), np.float64)
+
+    def time(self, state) -> float:
+        """Seconds for the steps, from the states of `state`."""
+        for name in ("qpos", "qvel", "qacc_warmstart"):
+            setattr(self.batch, name, np.asarray(getattr(state.physics, name)))
+        began = time.perf_counter()
+        for ctrl in self.ctrl:
+            self.batch.ctrl = ctrl
+            self.batch.step(nstep=self.substeps)
+        return time.perf_counter() - began
+
+
+def bench_training(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
+    """IPPO with the paper's preset, everything included; rates are medians over iterations."""
+    from assistax.learning.ppo import PPO, PPOConfig
+    from assistax.learning.presets import preset
+
+    config = PPOConfig(**preset("paper", "ippo", env.name))
+    trainer = PPO(env, config, num_envs, 1000)
+    began = time.perf_counter()
+    state = jax.jit(trainer.init)(jax.random.key(0))
+    collect, improve = jax.jit(trainer.collect), jax.jit(trainer.improve)
+    state, _ = jax.block_until_ready(improve(*collect(state)))
+    first_s = time.perf_counter() - began
+    times, deadline = [], time.perf_counter() + seconds
+    while time.perf_counter() < deadline or len(times) < 3:
+        marks = [time.perf_counter()]
+        state, batch = jax.block_until_ready(collect(state))
+        marks.append(time.perf_counter())
+        state, _ = jax.block_until_ready(improve(state, batch))
+        times.append(np.diff([*marks, time.perf_counter()]))
+    collect_s, improve_s = np.median(times, 0)
+    return {
+        "training_steps_per_s": round(num_envs * config.num_steps / float(np.median(np.sum(times, 1)))),
+        "training_collect_s": round(float(collect_s), 3),
+        "training_update_s": round(float(improve_s), 3),
+        "training_first_update_s": round(first_s, 1),
+        "peak_memory_mb": round(peak_memory_mb()),
+    }

@@ -1,0 +1,292 @@
+"""The command line: `assistax --help`."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tyro.conf import arg
+
+from assistax.errors import AssistaxError, UsageError
+
+Task = Annotated[str, tyro.conf.Positional]
+Target = Annotated[str, tyro.conf.Positional, arg(metavar="RUN|TASK")]
+Json = Annotated[bool, arg(name="json")]
+Set = Annotated[tuple[str, ...], arg(name="set", metavar="NAME=VALUE ...")]
+
+
+def train(
+    task: Annotated[str | None, tyro.conf.Positional] = None,
+    *,
+    algorithm: str | None = None,
+    steps: int | None = None,
+    num_envs: int | None = None,
+    seed: int | None = None,
+    num_seeds: int | None = None,
+    engine: str | None = None,
+    preset: str | None = None,
+    out: Path | None = None,
+    set: Set = (),
+    resume: Path | None = None,
+) -> None:
+    """Train robot and human together, then evaluate and film them.
+
+    Writes one folder: config.json, metrics.jsonl, checkpoints/, learning_curve.png, summary.json and
+    rollout.mp4. Ctrl-C saves and stops; `--resume RUN` goes on where it stopped, to the bit.
+
+    Examples:
+      assistax train scratch
+      assistax train scratch --preset paper --steps 40000000 --num-seeds 3
+      assistax train scratch --set ppo.learning_rate=1e-3 env.torque_scale=0.5
+      assistax train --resume runs/scratch-ippo-0
+
+    Args:
+      task: what to do together; `assistax tasks` lists them.
+      algorithm: ippo (default).
+      steps: environment steps per seed (default 3 million; the paper trains for 40 million).
+      num_envs: environments side by side, per seed (default 1024).
+      seed: first random seed (default 0).
+      num_seeds: independent runs in one program, with seeds S, S+1, ... (default 1).
+      engine: auto (default), mujoco, warp or mjx.
+      preset: hyperparameters: default, or paper for the paper's table.
+      out: run folder (default runs/TASK-ALGORITHM-SEED, with a number if taken).
+      set: change any setting in config.json, for example ppo.gamma=0.98 or task_config.force=2.
+      resume: continue this run folder; --steps may prolong it.
+    """
+    from assistax.config import parse_assignments
+    from assistax.runs import Run, configure
+
+    if resume is not None:
+        given = {"task": task, "algorithm": algorithm, "num_envs": num_envs, "seed": seed, "num_seeds": num_seeds}
+        given |= {"engine": engine, "preset": preset, "out": out, "set": set or None}
+        if extra := [name.replace("_", "-") for name, value in given.items() if value is not None]:
+            raise UsageError(f"--resume takes everything but --steps from the run; leave out {', '.join(extra)}.")
+        run = Run.open(resume, steps=steps)
+    else:
+        if task is None:
+            raise UsageError("Name a task, for example: assistax train scratch. `assistax tasks` lists them.")
+        choices = {"algorithm": algorithm, "preset": preset, "engine": engine, "steps": steps}
+        choices |= {"num_envs": num_envs, "seed": seed, "num_seeds": num_seeds}
+        config = configure(task, parse_assignments(set), **choices)
+        run = Run.create(config, out or _free_folder(f"{task}-{config.algorithm}-{config.seed}"))
+    print(f"{run.config.task} on the {run.env.engine.name} engine, into {run.folder}", file=sys.stderr)
+    summary = run.train()
+    if summary is None:
+        print(f"Stopped and saved. Continue with: assistax train --resume {run.folder}", file=sys.stderr)
+        sys.exit(130)
+    print(
+        f"return {summary['mean_return']:.0f}, success {summary['success_rate']:.0%} over 64 episodes, "
+        f"{summary['env_steps_per_s']} env steps/s. See {run.folder}/learning_curve.png and rollout.mp4."
+    )
+
+
+def evaluate(
+    target: Target,
+    *,
+    policy: str | None = None,
+    episodes: int = 64,
+    engine: str | None = None,
+    seed: int | None = None,
+    json: Json = False,
+) -> None:
+    """Play whole episodes on fixed seeds; print means with 95 % confidence intervals.
+
+    Examples:
+      assistax evaluate runs/scratch-ippo-0
+      assistax evaluate scratch --policy random --json
+
+    Args:
+      target: a run folder, or a task together with --policy.
+      policy: with a task: both seats still or random.
+      episodes: how many (intervals are over them).
+      engine: auto, mujoco, warp or mjx (default: as the run, else auto).
+      seed: of the evaluation's draws; fixed unless given.
+      json: print JSON instead of a table.
+    """
+    from assistax.evaluation import EVALUATION_SEED, play, summarize
+
+    env, teams, about = _teams(target, policy, engine)
+    start = EVALUATION_SEED if seed is None else seed
+    results = [summarize(play(env, team, episodes, start)) for team in teams]
+    if json:
+        _print_json({**about, **results[0]} if len(results) == 1 else {**about, "seeds": results})
+        return
+    for result in results:
+        _print_table({**about, **result})
+
+
+def render(
+    target: Target,
+    *,
+    out: Path | None = None,
+    policy: str | None = None,
+    engine: str | None = None,
+    seed: int | None = None,
+    width: int = 640,
+    height: int = 480,
+    view: str = "main",
+) -> None:
+    """Film one episode.
+
+    Examples:
+      assistax render runs/scratch-ippo-0
+      assistax render scratch --policy still --out scratch.png --width 1280 --height 960
+
+    Args:
+      target: a run folder, or a task together with --policy.
+      out: an .mp4, or a .png of the last moment (default TASK.mp4).
+      policy: with a task: both seats still or random.
+      engine: auto, mujoco, warp or mjx (default: as the run, else auto).
+      seed: of the episode's draws; fixed unless given.
+      width: of the picture in pixels.
+      height: of the picture in pixels.
+      view: camera: main or close.
+    """
+    from assistax.errors import choose
+    from assistax.evaluation import EVALUATION_SEED, play
+    from assistax.viewing import film
+
+    choose("view", view, ["main", "close"])
+    env, teams, _ = _teams(target, policy, engine)
+    path = out or Path(f"{env.name}.mp4")
+    if not path.parent.is_dir():
+        raise UsageError(f"The folder {path.parent} of --out does not exist.")
+    result = play(env, teams[0], 1, EVALUATION_SEED if seed is None else seed)
+    on = result["playing"][0]
+    film(env.name, result["qpos"][0][on], result["marker"][0][on], env.dt, path, width=width, height=height, view=view)
+    print(f"wrote {path}")
+
+
+def tasks(*, json: Json = False) -> None:
+    """List the tasks.
+
+    Args:
+      json: print JSON, with the sizes of observations and actions.
+    """
+    from assistax.env import make
+    from assistax.tasks import TASKS
+
+    if not json:
+        for name, task in TASKS.items():
+            print(f"{name:16} {task.title}")
+        return
+    listing = {}
+    for name, task in TASKS.items():
+        env = make(name, engine="mujoco")
+        listing[name] = {
+            "title": task.title,
+            "observations": env.observation_sizes | {"global": env.global_size},
+            "actions": env.action_sizes,
+            "episode_length": env.config.episode_length,
+            "control_period_s": env.dt,
+        }
+    _print_json(listing)
+
+
+def doctor(*, json: Json = False) -> None:
+    """Say what is installed, which engine is used and why; step and render for two seconds.
+
+    Args:
+      json: print JSON.
+    """
+    from assistax.doctor import diagnose
+
+    report = diagnose()
+    if json:
+        _print_json(report)
+    else:
+        _print_table(report)
+    if "FAILED" in report["self_test"] + report["rendering"]:
+        sys.exit(1)
+
+
+def bench(
+    task: Task,
+    *,
+    engine: str = "auto",
+    num_envs: int = 1024,
+    seconds: float = 10.0,
+    train: bool = False,
+    json: Json = False,
+) -> None:
+    """Measure speed on this machine: the environment beside its bare physics engine.
+
+    Args:
+      task: `assistax tasks` lists them.
+      engine: auto, mujoco, warp or mjx.
+      num_envs: environments side by side.
+      seconds: how long to measure, after compilation.
+      train: also time IPPO training with the paper's preset.
+      json: print JSON.
+    """
+    from assistax.bench import bench, bench_training
+    from assistax.env import make
+
+    env = make(task, engine)
+    report = bench(env, num_envs, seconds)
+    if train:
+        report |= bench_training(env, num_envs, seconds)
+    _print_json(report) if json else _print_table(report)
+
+
+def main() -> None:
+    """Entry point of the `assistax` command."""
+    commands = {f.__name__: f for f in (train, evaluate, render, tasks, doctor, bench)}
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            commands,
+            prog="assistax",
+            description="A robot arm and a person, both with policies of their own: train, evaluate, watch.",
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
+    except AssistaxError as error:
+        print(f"assistax: {error}", file=sys.stderr)
+        sys.exit(2)
+
+
+def _teams(target: str, policy: str | None, engine: str | None):
+    """(env, teams by seed, what they are) of a run folder or of a task with a scripted policy."""
+    from assistax.env import make
+    from assistax.policies import scripted_team
+    from assistax.runs import Run
+    from assistax.tasks import TASKS
+
+    if policy is not None:
+        env = make(target, engine or "auto")
+        return env, [scripted_team(policy, env)], {"task": target, "policy": policy}
+    if not Path(target).is_dir():
+        if target in TASKS:
+            raise UsageError(f"Say who plays {target}: --policy still or random, or give a run folder.")
+        raise UsageError(f"{target!r} is neither a run folder nor a task ({', '.join(TASKS)}) with --policy.")
+    run = Run.open(Path(target), engine=engine)
+    teams = [run.team(seed=seed) for seed in range(run.config.num_seeds)]
+    return run.env, teams, {"task": run.config.task, "run": target}
+
+
+def _free_folder(name: str) -> Path:
+    folder, number = Path("runs") / name, 2
+    while folder.exists():
+        folder, number = Path("runs") / f"{name}-{number}", number + 1
+    return folder
+
+
+def _print_json(report: Any) -> None:
+    print(json.dumps(report, indent=2))
+
+
+def _print_table(report: dict[str, Any], indent: str = "") -> None:
+    for name, value in report.items():
+        if isinstance(value, dict):
+            print(f"{indent}{name}")
+            _print_table(value, indent + "  ")
+        else:
+            if isinstance(value, (list, tuple)):
+                value = " to ".join(f"{x:.4g}" if isinstance(x, float) else str(x) for x in value)
+            elif isinstance(value, float):
+                value = f"{value:.4g}"
+            print(f"{indent}{name:{28 - len(indent)}} {value}")
+
+
+if __name__ == "__main__":
+    main()

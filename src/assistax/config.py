@@ -1,0 +1,72 @@
+"""Settings as frozen dataclasses: change them by name, write them to JSON, read them back."""
+
+import ast
+import dataclasses
+import typing
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar
+
+from assistax.errors import UsageError, choose
+
+T = TypeVar("T")
+
+
+def with_settings(config: T, settings: Mapping[str, Any], also: Iterable[str] = (), prefix: str = "") -> T:
+    """A copy of the dataclass `config` with fields replaced by name, values cast to their types.
+
+    A name may reach into nested dataclasses ("ppo.learning_rate"). `also` are names that the
+    caller would have accepted, listed when a name is unknown.
+    """
+    hints = typing.get_type_hints(type(config))
+    changes: dict[str, Any] = {}
+    nested: dict[str, dict[str, Any]] = {}
+    for name, value in settings.items():
+        head, _, rest = name.partition(".")
+        choose("setting", prefix + head, [prefix + n for n in (*hints, *also)])
+        inner = getattr(config, head)
+        if dataclasses.is_dataclass(inner):
+            if rest:
+                nested.setdefault(head, {})[rest] = value
+            elif isinstance(value, Mapping):
+                nested.setdefault(head, {}).update(value)
+            else:
+                fields = ", ".join(f"{prefix}{head}.{f.name}" for f in dataclasses.fields(inner))
+                raise UsageError(f"{prefix}{head} is a group; set one of {fields}.")
+        elif rest:
+            raise UsageError(f"{prefix}{head} has no parts, so {prefix}{name} does not exist.")
+        else:
+            changes[head] = _cast(prefix + head, hints[head], value)
+    for head, values in nested.items():
+        changes[head] = with_settings(getattr(config, head), values, prefix=f"{prefix}{head}.")
+    return dataclasses.replace(config, **changes)  # type: ignore[type-var]
+
+
+def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
+    """["a.b=1", "c=x"] to {"a.b": 1, "c": "x"}."""
+    settings = {}
+    for text in assignments:
+        name, equals, value = text.partition("=")
+        if not equals or not name:
+            raise UsageError(f"--set takes NAME=VALUE, for example ppo.learning_rate=3e-4, not {text!r}.")
+        try:
+            settings[name] = ast.literal_eval(value)
+        except (ValueError, SyntaxError):
+            settings[name] = {"true": True, "false": False}.get(value.lower(), value)
+    return settings
+
+
+def _cast(name: str, hint: Any, value: Any) -> Any:
+    kind = typing.get_origin(hint) or hint
+    if kind is tuple and isinstance(value, (list, tuple)):
+        inner = typing.get_args(hint)
+        if Ellipsis not in inner and len(inner) != len(value):
+            raise UsageError(f"{name} takes {len(inner)} values, not {len(value)}.")
+        return tuple(_cast(name, inner[0], v) for v in value)
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if kind is int and isinstance(value, float) and value.is_integer():
+        return int(value)
+    if not isinstance(value, kind) or (kind is not bool and isinstance(value, bool)):
+        expected = {int: "a whole number", float: "a number", bool: "true or false", str: "a word"}
+        raise UsageError(f"{name} must be {expected.get(kind, 'a list like (1, 2)')}, not {value!r}.")
+    return value

@@ -1,0 +1,315 @@
+"""The environment: a task, a scene and an engine as two pure functions, `reset` and `step`.
+
+Written for one environment; batch it with `jax.vmap`, nested if need be:
+
+    env = assistax.make("scratch")
+    obs, state = jax.vmap(env.reset)(jax.random.split(key, 1024))
+    obs, state, rewards, terminated, truncated, info = jax.vmap(env.step)(keys, state, actions)
+"""
+
+import dataclasses
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax import scenes
+from assistax.config import with_settings
+from assistax.errors import UsageError, choose
+from assistax.physics import PhysicsState, make_engine
+from assistax.pytree import pytree
+from assistax.tasks import task_class
+from assistax.tasks.base import Sensors, TaskState
+from assistax.tasks.rewards import norm
+
+AGENTS = ("robot", "human")
+Obs = dict[str, jax.Array]
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """What all tasks share."""
+
+    episode_length: int = 1000  # control steps; 8 s
+    substeps: int = 4  # physics steps of 2 ms per control step
+    control: str = "torque"  # "torque" with gravity compensation, or "position" (servo targets)
+    torque_scale: float = 0.3  # full action, as a fraction of the Panda's torque limits
+    reset_noise: float = 0.005  # rad and rad/s, uniform on every joint
+    force_limit: float = 20.0  # N, above this the force on the person is counted as too high
+    num_threads: int = 0  # of the mujoco engine; 0: all cores
+    contacts_per_env: int = 24  # buffer of the warp engine
+    constraints_per_env: int = 96  # buffer of the warp engine
+
+    def __post_init__(self):
+        for field in ("episode_length", "substeps", "contacts_per_env", "constraints_per_env"):
+            if getattr(self, field) < 1:
+                raise UsageError(f"env.{field} must be 1 or more, not {getattr(self, field)}.")
+        if not 0 < self.torque_scale <= 1:
+            raise UsageError(f"env.torque_scale must be in (0, 1], not {self.torque_scale}.")
+        choose("control mode", self.control, ["torque", "position"])
+
+
+@dataclass(frozen=True)
+class Box:
+    """A box in R^n, as in Gymnasium; without bounds they are infinite."""
+
+    shape: tuple[int, ...]
+    low: float = -np.inf
+    high: float = np.inf
+    dtype: Any = jnp.float32
+
+    def sample(self, key: jax.Array) -> jax.Array:
+        """Uniform within bounds."""
+        return jax.random.uniform(key, self.shape, self.dtype, self.low, self.high)
+
+
+@pytree
+class EnvState:
+    physics: PhysicsState
+    task: TaskState
+    t: jax.Array  # int32, control steps since the reset
+    episode: dict[str, jax.Array]  # sums and peaks over the episode so far, see Env.metrics
+
+
+class Env:
+    """A robot and a person with a task. Pure functions; hold no state."""
+
+    agents = AGENTS
+    num_agents = len(AGENTS)
+
+    def __init__(self, task: str, engine: str, config: EnvConfig, task_config: Any = None):
+        self.name, self.config = task, config
+        cls = task_class(task)
+        scene = dataclasses.replace(scenes.SCENES[task], control=config.control)
+        self.model = model = scenes.build(scene).compile()
+        self.engine = make_engine(
+            engine,
+            model,
+            substeps=config.substeps,
+            num_threads=config.num_threads,
+            contacts_per_env=config.contacts_per_env,
+            constraints_per_env=config.constraints_per_env,
+        )
+        self.episode_length = config.episode_length
+        self.dt = float(model.opt.timestep * config.substeps)  # s per control step
+        self.task = cls(task_config or cls.config_type(), model, self.dt)
+        self._slices = scenes.sensor_slices(model)
+        driven = scene.human_driven
+        self._gathers = {
+            "theta_robot": self._columns("pos_", scenes.ROBOT_JOINTS),
+            "dtheta_robot": self._columns("vel_", scenes.ROBOT_JOINTS),
+            "theta_human": self._columns("pos_", scenes.HUMAN_JOINTS),
+            "dtheta_human": self._columns("vel_", scenes.HUMAN_JOINTS),
+            "torque_robot": self._columns("torque_", scenes.ROBOT_JOINTS),
+            "torque_human": self._columns("torque_", driven),
+            "dtheta_driven": self._columns("vel_", driven),
+        }
+        key = model.key("start")
+        movable = np.zeros(model.nq)
+        movable[scenes.qpos_ids(model, (*scenes.HUMAN_JOINTS, *scenes.ROBOT_JOINTS))] = 1.0
+        self._start, self._noise = jnp.asarray(key.qpos), jnp.asarray(config.reset_noise * movable)
+        self._range = jnp.asarray(model.jnt_range.T)
+        limits = jnp.asarray(model.actuator_ctrlrange[len(driven) :])
+        self._ctrl_mid, self._ctrl_half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
+        if config.control == "torque":
+            self._ctrl_half *= config.torque_scale
+        self.action_sizes = {"robot": len(scenes.ROBOT_JOINTS), "human": len(driven)}
+        self._layouts = self._measure_layouts()
+        self.observation_sizes = {agent: self._layouts[agent][-1][1].stop for agent in AGENTS}
+        self.global_size = self._layouts["global"][-1][1].stop
+
+    # -- the two functions ---------------------------------------------------------------------
+
+    def reset(self, key: jax.Array, elapsed: jax.Array | int = 0) -> tuple[Obs, EnvState]:
+        """Begin an episode: fresh targets, joints at rest with a little noise.
+
+        With `elapsed` the time limit is that many steps nearer, so that the episodes of a batch need
+        not all end together.
+        """
+        qpos, qvel, task = self._draw(key)
+        physics = self.engine.init(qpos, qvel)
+        state = EnvState(physics, task, jnp.asarray(elapsed, jnp.int32), self._no_episode())
+        return self._observe(state), state
+
+    def step(self, key: jax.Array, state: EnvState, actions: Obs):
+        """One control step (8 ms) with auto-reset.
+
+        Args:
+          key: used for the draws of an automatic reset.
+          actions: "robot" [7] and "human" [2 or 3], each entry clipped to [-1, 1].
+
+        Returns:
+          obs: by agent; of the new episode where the old one ended.
+          state: likewise.
+          rewards: by agent, the same for both (the paper's shared reward).
+          terminated: by agent and "__all__"; the task itself is over.
+          truncated: by agent and "__all__"; the time limit, bootstrap through it.
+          info: "final_observation" by agent and "final_global_observation", true also where a reset
+            followed; "reward_terms" by name; "metrics" of the episode up to and with this step;
+            "force" on the person in N; "fault" of the engine.
+        """
+        end, obs, rewards, terminated, truncated, info = self.step_env(state, actions)
+        done = terminated["__all__"] | truncated["__all__"]
+        qpos, qvel, task = self._draw(key)
+        fresh = (task, jnp.int32(0), self._no_episode())
+        kept = (end.task, end.t, end.episode)
+        task, t, episode = jax.tree.map(partial(jnp.where, done), fresh, kept)
+        physics = self.engine.reinit(end.physics, done, qpos, qvel, end.physics.overrides)
+        state = EnvState(physics, task, t, episode)
+        info["final_observation"] = obs
+        info["final_global_observation"] = self.global_obs(end)
+        return self._observe(state), state, rewards, terminated, truncated, info
+
+    def step_env(self, state: EnvState, actions: Obs):
+        """One control step without auto-reset: (state, obs, rewards, terminated, truncated, info)."""
+        physics = self.engine.step(state.physics, self._ctrl(actions))
+        s = self.sensors(physics)
+        task = self.task.advance(s, state.task)
+        terms = self.task.reward_terms(s, task)
+        reward = sum(terms.values())
+        t = state.t + 1
+        force = norm(s["robot_force"])
+        state = EnvState(physics, task, t, self._book(state.episode, s, force, reward))
+        terminated = self.task.terminated(task)
+        truncated = (t >= self.config.episode_length) & ~terminated
+        info = {
+            "reward_terms": terms,
+            "metrics": self.metrics(state),
+            "force": force,
+            "fault": physics.fault,
+        }
+        everyone = (*AGENTS, "__all__")
+        return (
+            state,
+            self._observe(state),
+            dict.fromkeys(AGENTS, reward),
+            dict.fromkeys(everyone, terminated),
+            dict.fromkeys(everyone, truncated),
+            info,
+        )
+
+    # -- what one can ask of it ----------------------------------------------------------------
+
+    def obs_layout(self, agent: str) -> dict[str, slice]:
+        """Where each named block lies in the observation of "robot", "human" or "global"."""
+        return dict(self._layouts[choose("agent", agent, self._layouts)])
+
+    def global_obs(self, state: EnvState) -> jax.Array:
+        """Everything that either agent sees, once [global_size]: for centralised critics."""
+        return _join(self._blocks(state))
+
+    def observation_space(self, agent: str) -> Box:
+        return Box((self.observation_sizes[choose("agent", agent, AGENTS)],))
+
+    def action_space(self, agent: str) -> Box:
+        return Box((self.action_sizes[choose("agent", agent, AGENTS)],), -1.0, 1.0)
+
+    def sensors(self, physics: PhysicsState) -> Sensors:
+        """The named sensors of a state, all of one instant."""
+        named = {name: physics.sensordata[place] for name, place in self._slices.items()}
+        return named | {name: physics.sensordata[columns] for name, columns in self._gathers.items()}
+
+    def metrics(self, state: EnvState) -> dict[str, jax.Array]:
+        """Outcome of the episode so far; after its last step, of the whole episode.
+
+        `success` (0 or 1), the task's own outcomes, `peak_force` (N) and `seconds_over_force_limit`
+        of the robot on the person, `work_robot` and `work_human` (J), `return` and `length` (steps).
+        """
+        success = self.task.success(state.task).astype(jnp.float32)
+        return {"success": success, **self.task.outcomes(state.task), **state.episode, "length": state.t}
+
+    def markers(self, state: EnvState) -> jax.Array:
+        """World position [3] of the task's target."""
+        return self.task.markers(self.sensors(state.physics), state.task)
+
+    # -- parts ---------------------------------------------------------------------------------
+
+    def _columns(self, prefix: str, joints) -> np.ndarray:
+        return np.array([self._slices[prefix + joint].start for joint in joints])
+
+    def _draw(self, key):
+        """(qpos, qvel, task state) of a new episode."""
+        task_key, key = jax.random.split(key)
+        noise = jax.random.uniform(key, (2, self.model.nq), minval=-1.0, maxval=1.0) * self._noise
+        qpos = jnp.clip(self._start + noise[0], *self._range)
+        return qpos, noise[1], self.task.reset(task_key)
+
+    def _ctrl(self, actions: Obs) -> jax.Array:
+        robot, human = (jnp.clip(actions[agent], -1.0, 1.0) for agent in AGENTS)
+        return jnp.concatenate([human, self._ctrl_mid + self._ctrl_half * robot])
+
+    def _blocks(self, state: EnvState) -> dict[str, jax.Array]:
+        """All observation blocks by name, in the order of the paper's observation table."""
+        s = self.sensors(state.physics)
+        names = ("theta_robot", "dtheta_robot", "tool_pos", "tool_quat", "tool_force")
+        names += ("theta_human", "dtheta_human")
+        return {name: s[name] for name in names} | self.task.observe(s, state.task)
+
+    def _observe(self, state: EnvState) -> Obs:
+        blocks = self._blocks(state)
+        return {agent: _join(_seen_by(agent, blocks)) for agent in AGENTS}
+
+    def _measure_layouts(self):
+        def layout(blocks):
+            ends = np.cumsum([b.shape[0] for b in blocks.values()])
+            return [(n, slice(int(e - b.shape[0]), int(e))) for (n, b), e in zip(blocks.items(), ends, strict=True)]
+
+        def blocks_of(key):
+            qpos, qvel, task = self._draw(key)
+            blank = jnp.zeros(self.model.nsensordata)
+            physics = PhysicsState(qpos, qvel, qvel, blank, jnp.int32(0), {})
+            return self._blocks(EnvState(physics, task, jnp.int32(0), {}))
+
+        blocks = jax.eval_shape(blocks_of, jax.random.key(0))
+        return {who: layout(_seen_by(who, blocks)) for who in (*AGENTS, "global")}
+
+    @staticmethod
+    def _no_episode() -> dict[str, jax.Array]:
+        names = ("return", "peak_force", "seconds_over_force_limit", "work_robot", "work_human")
+        return {name: jnp.float32(0.0) for name in names}
+
+    def _book(self, episode, s: Sensors, force, reward):
+        work_robot = jnp.abs(s["torque_robot"] * s["dtheta_robot"]).sum() * self.dt
+        work_human = jnp.abs(s["torque_human"] * s["dtheta_driven"]).sum() * self.dt
+        over = self.dt * (force > self.config.force_limit)
+        return {
+            "return": episode["return"] + reward,
+            "peak_force": jnp.maximum(episode["peak_force"], force),
+            "seconds_over_force_limit": episode["seconds_over_force_limit"] + over,
+            "work_robot": episode["work_robot"] + work_robot,
+            "work_human": episode["work_human"] + work_human,
+        }
+
+
+_HIDDEN = {"robot": ("theta_human", "dtheta_human"), "human": ("theta_robot", "dtheta_robot"), "global": ()}
+
+
+def _seen_by(agent: str, blocks):
+    return {name: block for name, block in blocks.items() if name not in _HIDDEN[agent]}
+
+
+def _join(blocks) -> jax.Array:
+    return jnp.concatenate(list(blocks.values()))
+
+
+def make(task: str, engine: str = "auto", **settings) -> Env:
+    """Make an environment.
+
+    Args:
+      task: see `assistax tasks`, for example "scratch".
+      engine: "auto", "mujoco", "warp" or "mjx".
+      **settings: fields of EnvConfig (`episode_length=500`) or of the task's configuration
+        (`success_seconds=1.0`), by name.
+
+    Raises:
+      UsageError: an unknown task, engine or setting; the message lists what exists.
+    """
+    task_config = task_class(task).config_type()
+    task_fields = {f.name for f in dataclasses.fields(task_config)}
+    for_task = {name: value for name, value in settings.items() if name in task_fields}
+    for_env = {name: value for name, value in settings.items() if name not in task_fields}
+    config = with_settings(EnvConfig(), for_env, also=task_fields)
+    return Env(task, engine, config, with_settings(task_config, for_task))

@@ -1,0 +1,87 @@
+"""Play a team on fixed seeds and say how it did: whole episodes, each counted once."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax.env import Env
+from assistax.errors import UsageError
+from assistax.physics import check_faults
+from assistax.policies import Team
+from assistax.statistics import bootstrap_ci, proportion_ci
+
+EVALUATION_SEED = 20_260_000  # evaluation draws are the same for all runs, and not those of training
+
+
+def play(env: Env, team: Team, episodes: int, seed: int = EVALUATION_SEED) -> dict[str, Any]:
+    """Play `episodes` whole episodes side by side.
+
+    Returns:
+      arrays by name, first axis the episode: "terms" (each reward term's sum over the episode),
+      "metrics" (see Env.metrics, at the episode's last step), "force" [episodes, T] in N, "playing"
+      [episodes, T] whether the episode was still on, "qpos" [episodes, T, nq], "marker" [.., T, 3].
+    """
+    if episodes < 1:
+        raise UsageError(f"episodes must be 1 or more, not {episodes}.")
+    params = {agent: parameters for agent, (_, parameters) in team.items()}
+
+    def one(params, key):
+        reset_key, key = jax.random.split(key)
+        obs, state = env.reset(reset_key)
+        carries = {agent: policy.initial_carry() for agent, (policy, _) in team.items()}
+
+        def step(carry, key):
+            state, obs, carries, playing, first = carry
+            actions = {}
+            for (agent, (policy, _)), k in zip(team.items(), jax.random.split(key, len(team)), strict=True):
+                actions[agent], carries[agent] = policy.act(params[agent], carries[agent], obs[agent], first, k)
+            state, obs, _, terminated, truncated, info = env.step_env(state, actions)
+            still_on = playing & ~(terminated["__all__"] | truncated["__all__"])
+            out = {k: info[k] for k in ("reward_terms", "metrics", "force", "fault")}
+            out |= {"playing": playing, "qpos": state.physics.qpos, "marker": env.markers(state)}
+            return (state, obs, carries, still_on, jnp.bool_(False)), out
+
+        start = (state, obs, carries, jnp.bool_(True), jnp.bool_(True))
+        _, out = jax.lax.scan(step, start, jax.random.split(key, env.config.episode_length))
+        on = out["playing"]
+        last = on.sum() - 1
+        return {
+            "terms": jax.tree.map(lambda x: jnp.sum(x * on), out["reward_terms"]),
+            "metrics": jax.tree.map(lambda x: x[last], out["metrics"]),
+            "fault": jnp.where(on, out["fault"], 0).max(),
+            **{name: out[name] for name in ("force", "playing", "qpos", "marker")},
+        }
+
+    keys = jax.random.split(jax.random.key(seed), episodes)
+    result = jax.tree.map(np.asarray, jax.jit(jax.vmap(one, (None, 0)))(params, keys))
+    check_faults(result["fault"], env.engine.name)
+    return result
+
+
+def summarize(result: dict[str, Any]) -> dict[str, Any]:
+    """Means with 95 % intervals over episodes, as plain numbers ready for JSON."""
+    metrics = dict(result["metrics"])
+    returns, success = metrics.pop("return"), metrics.pop("success")
+    force = result["force"][result["playing"]]
+    return {
+        "episodes": len(returns),
+        "mean_return": float(returns.mean()),
+        "return_ci": bootstrap_ci(returns),
+        "terms": {name: float(total.mean()) for name, total in result["terms"].items()},
+        "success_rate": float(success.mean()),
+        "success_ci": proportion_ci(int(success.sum()), len(success)),
+        "force": {
+            "mean": float(force.mean()),
+            "mean_in_contact": float(force[force > 0].mean()) if (force > 0).any() else 0.0,
+            "p95": float(np.percentile(force, 95)),
+            "peak": float(force.max()),
+        },
+        "outcomes": {name: {"mean": float(x.mean()), "ci": bootstrap_ci(x)} for name, x in metrics.items()},
+    }
+
+
+def evaluate(env: Env, team: Team, episodes: int = 64, seed: int = EVALUATION_SEED) -> dict[str, Any]:
+    """`summarize(play(...))`."""
+    return summarize(play(env, team, episodes, seed))

@@ -1,0 +1,37 @@
+"""Running mean and variance of observations."""
+
+import jax
+import jax.numpy as jnp
+
+from assistax.pytree import pytree
+
+
+@pytree
+class RunningStats:
+    count: jax.Array  # float32
+    mean: jax.Array  # [n]
+    m2: jax.Array  # [n] sum of squared deviations from the mean
+
+
+def init_stats(size: int) -> RunningStats:
+    return RunningStats(jnp.float32(0.0), jnp.zeros(size), jnp.zeros(size))
+
+
+def update_stats(stats: RunningStats, x: jax.Array) -> RunningStats:
+    """Merge a batch x [..., n] (Chan's parallel form of Welford's algorithm)."""
+    x = x.reshape(-1, x.shape[-1])
+    count, mean = x.shape[0], x.mean(0)
+    m2 = jnp.square(x - mean).sum(0)
+    total = stats.count + count
+    delta = mean - stats.mean
+    return RunningStats(
+        total,
+        stats.mean + delta * count / total,
+        stats.m2 + m2 + jnp.square(delta) * stats.count * count / total,
+    )
+
+
+def normalize(stats: RunningStats, x: jax.Array, clip: float = 10.0) -> jax.Array:
+    """x [..., n] in standard deviations from the mean, clipped; x itself before any data."""
+    var = jnp.where(stats.count > 0, stats.m2 / jnp.maximum(stats.count, 1.0), 1.0)
+    return jnp.clip((x - stats.mean) * jax.lax.rsqrt(var + 1e-8), -clip, clip)

@@ -1,0 +1,79 @@
+"""What every physics engine promises, and the state that all of them share."""
+
+from typing import Protocol
+
+import jax
+import mujoco
+import numpy as np
+
+from assistax.errors import SimulationError
+from assistax.pytree import pytree
+
+Overrides = dict[str, jax.Array]
+"""Model fields with a value of their own in this environment, by their MuJoCo name,
+for example {"jnt_range": [njnt, 2], "actuator_gainprm": [nu, 10]}."""
+
+# Bits of PhysicsState.fault.
+UNSTABLE, OVERFLOW = 1, 2
+
+
+@pytree
+class PhysicsState:
+    """One simulated scene. Batch it with `jax.vmap`, nested if need be.
+
+    The state is the same for all engines, so a checkpoint of one can go on with another.
+
+    `sensordata` is a snapshot of one instant: positions, velocities and contact forces belong
+    together. As after MuJoCo's own `mj_step`, that instant is the start of the last physics step,
+    one step (2 ms) before `qpos` and `qvel`; after `init` it is the instant of `qpos` itself.
+    """
+
+    qpos: jax.Array  # [nq] joint positions, rad
+    qvel: jax.Array  # [nv] joint velocities, rad/s
+    qacc_warmstart: jax.Array  # [nv] where the constraint solver starts
+    sensordata: jax.Array  # [nsensordata] in the model's sensor order
+    fault: jax.Array  # int32: UNSTABLE | OVERFLOW since the last (re)initialisation
+    overrides: Overrides
+
+
+class Engine(Protocol):
+    """Pure functions on a PhysicsState, written for one environment and batched by `jax.vmap`."""
+
+    name: str
+    model: mujoco.MjModel
+    substeps: int
+
+    def init(self, qpos: jax.Array, qvel: jax.Array, overrides: Overrides | None = None) -> PhysicsState:
+        """Start at qpos [nq], qvel [nv] with zero controls."""
+        ...
+
+    def step(self, state: PhysicsState, ctrl: jax.Array) -> PhysicsState:
+        """Hold ctrl [nu] for one control step (`substeps` physics steps)."""
+        ...
+
+    def reinit(
+        self, state: PhysicsState, mask: jax.Array, qpos: jax.Array, qvel: jax.Array, overrides: Overrides
+    ) -> PhysicsState:
+        """`init` where mask (bool) is true, `state` elsewhere; those elsewhere cost nothing."""
+        ...
+
+
+def check_faults(fault, engine_name: str) -> None:
+    """Raise SimulationError, naming the setting to change, if any PhysicsState.fault is set."""
+    fault = np.asarray(fault)
+    if not fault.any():
+        return
+    overflow = int(((fault & OVERFLOW) != 0).sum())
+    if overflow:
+        setting = {
+            "warp": "raise contacts_per_env or constraints_per_env (env.contacts_per_env=...)",
+            "mujoco": "raise the scene's memory (SceneConfig.memory)",
+        }.get(engine_name, "reduce the number of geoms that can touch")
+        raise SimulationError(
+            f"The {engine_name} engine dropped contacts in {overflow} of {fault.size} environments: {setting}."
+        )
+    unstable = int(((fault & UNSTABLE) != 0).sum())
+    raise SimulationError(
+        f"The simulation became non-finite in {unstable} of {fault.size} environments: check the actions for "
+        "NaN, or lower env.torque_scale."
+    )

@@ -1,0 +1,218 @@
+"""MJX as pure JAX functions: Warp kernels (NVIDIA GPUs, CPUs) and pure JAX (TPUs, gradients)."""
+
+import io
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from assistax.errors import UsageError
+from assistax.physics.engine import OVERFLOW, UNSTABLE, Overrides, PhysicsState
+
+with redirect_stdout(io.StringIO()):  # without warp-lang the import prints a harmless complaint
+    from mujoco import mjx
+    from mujoco.mjx._src.support import contact_force_dim
+
+_CONTACT = mujoco.mjtSensor.mjSENS_CONTACT
+
+
+def whole_batch(fn: Callable) -> Callable:
+    """Turn `fn`, which maps arrays with one leading axis, into a function of one environment.
+
+    However many times the result is vmapped, `fn` is called once, with all axes flattened into one:
+    it knows how many environments there are, and its control flow is that of the whole batch.
+    """
+    flat = jax.custom_batching.custom_vmap(fn)
+
+    @flat.def_vmap
+    def _rule(axis_size, in_batched, *args):
+        def merge(x, batched):
+            x = x if batched else jnp.broadcast_to(x, (axis_size, *x.shape))
+            return x.reshape(-1, *x.shape[2:])
+
+        out = flat(*jax.tree.map(merge, args, tuple(in_batched)))
+        out = jax.tree.map(lambda x: x.reshape(axis_size, -1, *x.shape[1:]), out)
+        return out, jax.tree.map(lambda _: True, out)
+
+    def single(*args):
+        return jax.tree.map(lambda x: x[0], flat(*jax.tree.map(lambda x: jnp.asarray(x)[None], args)))
+
+    return single
+
+
+class _MjxBase:
+    """What both implementations share: MuJoCo's state in, one control step, MuJoCo's state out."""
+
+    name: str
+    impl: str
+
+    def __init__(self, model: mujoco.MjModel, substeps: int):
+        self.model, self.substeps = model, substeps
+        self._reinit = whole_batch(self._reinit_batch)
+
+    def _data(self, num_envs: int) -> mjx.Data:
+        """Empty MJX data with buffers for `num_envs` environments."""
+        raise NotImplementedError
+
+    def _read(self, d: mjx.Data) -> tuple[jax.Array, jax.Array]:
+        """(sensordata, fault) after a step or forward."""
+        raise NotImplementedError
+
+    def _run(self, data: mjx.Data, state: PhysicsState, ctrl, substeps: int) -> PhysicsState:
+        """`substeps` steps (0: only the forward pass) of one environment."""
+        model = self._model.replace(**state.overrides) if state.overrides else self._model
+        rows = {"qpos": state.qpos, "qvel": state.qvel, "qacc_warmstart": state.qacc_warmstart}
+        data = data.replace(**rows, ctrl=jnp.asarray(ctrl, jnp.float32))
+        fault = state.fault
+        if substeps == 0:
+            data = mjx.forward(model, data)
+            fault |= self._read(data)[1]
+
+        def substep(_, carry):
+            data, fault = carry
+            data = mjx.step(model, data)
+            return data, fault | self._read(data)[1]
+
+        data, fault = jax.lax.fori_loop(0, substeps, substep, (data, fault))
+        fault |= UNSTABLE * ~jnp.isfinite(data.qpos).all()
+        return PhysicsState(
+            data.qpos, data.qvel, data.qacc_warmstart, self._read(data)[0], fault, state.overrides
+        )
+
+    def init(self, qpos, qvel, overrides: Overrides | None = None) -> PhysicsState:
+        m = self.model
+        zeros = PhysicsState(
+            jnp.zeros(m.nq),
+            jnp.zeros(m.nv),
+            jnp.zeros(m.nv),
+            jnp.zeros(m.nsensordata),
+            jnp.int32(0),
+            overrides or {},
+        )
+        return self.reinit(zeros, jnp.bool_(True), qpos, qvel, overrides or {})
+
+    def reinit(self, state: PhysicsState, mask, qpos, qvel, overrides: Overrides) -> PhysicsState:
+        return self._reinit(state, mask, jnp.asarray(qpos), jnp.asarray(qvel), overrides)
+
+    def _reinit_batch(self, state: PhysicsState, mask, qpos, qvel, overrides) -> PhysicsState:
+        """The forward pass of the environments in `mask`, a thirty-second of the batch at a time."""
+        num_envs = mask.shape[0]
+        chunk = -(-num_envs // 32)
+        data = self._data(chunk)
+        ctrl = jnp.zeros(self.model.nu)
+
+        def restart(carry):
+            todo, state = carry
+            ids = jnp.nonzero(todo, size=chunk, fill_value=num_envs)[0]
+            rows = jax.tree.map(lambda x: x.at[ids].get(mode="clip"), (qpos, qvel, overrides))
+            start = PhysicsState(
+                rows[0],
+                rows[1],
+                jnp.zeros((chunk, self.model.nv)),
+                jnp.zeros((chunk, self.model.nsensordata)),
+                jnp.zeros(chunk, jnp.int32),
+                rows[2],
+            )
+            fresh = jax.vmap(lambda s: self._run(data, s, ctrl, 0))(start)
+            state = jax.tree.map(lambda old, new: old.at[ids].set(new, mode="drop"), state, fresh)
+            return todo.at[ids].set(False, mode="drop"), state
+
+        return jax.lax.while_loop(lambda carry: carry[0].any(), restart, (mask, state))[1]
+
+
+class WarpEngine(_MjxBase):
+    """MJX-Warp. Not differentiable; on a GPU not reproducible to the bit."""
+
+    name = impl = "warp"
+
+    def __init__(self, model, substeps: int = 4, contacts_per_env: int = 24, constraints_per_env: int = 96):
+        try:
+            import warp
+        except ImportError:
+            raise UsageError("The warp engine needs warp-lang: pip install 'assistax[warp]'.") from None
+        warp.config.quiet = True
+        super().__init__(model, substeps)
+        self._contacts, self._constraints = contacts_per_env, constraints_per_env
+        self._model = mjx.put_model(model, impl="warp")
+        self._step = whole_batch(self._step_batch)
+        self._data = cache(self._data)
+
+    def step(self, state: PhysicsState, ctrl) -> PhysicsState:
+        return self._step(state, ctrl)
+
+    def _step_batch(self, state: PhysicsState, ctrl) -> PhysicsState:
+        data = self._data(ctrl.shape[0])
+        return jax.vmap(lambda s, c: self._run(data, s, c, self.substeps))(state, ctrl)
+
+    def _data(self, num_envs: int) -> mjx.Data:
+        with jax.ensure_compile_time_eval():
+            return mjx.make_data(
+                self.model, impl="warp", naconmax=num_envs * self._contacts, njmax=self._constraints
+            )
+
+    def _read(self, d):
+        from mujoco.mjx.third_party.mujoco_warp import OverflowType as Bit
+
+        lost = Bit.NEFC | Bit.NJMAX_NNZ | Bit.BROADPHASE | Bit.NARROWPHASE | Bit.CCD | Bit.CONTACT_MATCH
+        overflow = jnp.reshape(d._impl.overflow, ()) & int(lost)
+        return d.sensordata, jnp.where(overflow != 0, OVERFLOW, 0).astype(jnp.int32)
+
+
+class MjxEngine(_MjxBase):
+    """MJX in pure JAX. `step` is differentiable; `init` and `reinit` are not.
+
+    It has no net-force contact sensors, so they are computed here from the contact list.
+    """
+
+    name, impl = "mjx", "jax"
+
+    def __init__(self, model: mujoco.MjModel, substeps: int = 4):
+        super().__init__(model, substeps)
+        import copy
+
+        silent = copy.copy(model)
+        contact = np.flatnonzero(model.sensor_type == _CONTACT)
+        silent.sensor_type[contact] = mujoco.mjtSensor.mjSENS_USER
+        self._model = mjx.put_model(silent, impl="jax")
+        self._template = mjx.make_data(silent, impl="jax")
+        self._contact_sensors = [
+            (int(model.sensor_adr[i]), self._geoms(i, "obj"), self._geoms(i, "ref")) for i in contact
+        ]
+
+    def step(self, state: PhysicsState, ctrl) -> PhysicsState:
+        return self._run(self._template, state, ctrl, self.substeps)
+
+    def _data(self, num_envs: int) -> mjx.Data:
+        return self._template
+
+    def _geoms(self, sensor: int, side: str) -> np.ndarray:
+        """Mask [ngeom] of the geoms that one side of a contact sensor matches."""
+        m = self.model
+        kind, root = getattr(m, f"sensor_{side}type")[sensor], getattr(m, f"sensor_{side}id")[sensor]
+        if kind == mujoco.mjtObj.mjOBJ_GEOM:
+            return np.arange(m.ngeom) == root
+        if kind == mujoco.mjtObj.mjOBJ_BODY:
+            return m.geom_bodyid == root
+        inside = np.zeros(m.nbody, bool)  # a subtree: mjOBJ_XBODY
+        for body in range(m.nbody):
+            inside[body] = body == root or (body > 0 and inside[m.body_parentid[body]])
+        return inside[m.geom_bodyid]
+
+    def _read(self, d):
+        sensordata = d.sensordata
+        if self._contact_sensors:
+            force, ids = contact_force_dim(self._model, d, 3)
+            contact = d._impl.contact
+            touching = (contact.dist[ids] < contact.includemargin[ids])[:, None]
+            # The contact frame's rows are its axes, so this is the force on geom 2 in world axes.
+            force = jnp.einsum("ci,cij->cj", force[:, :3], contact.frame[ids]) * touching
+            geom = np.asarray(contact.geom)[ids]
+            for adr, first, second in self._contact_sensors:
+                sign = (first[geom[:, 0]] & second[geom[:, 1]]) * 1.0
+                sign -= (second[geom[:, 0]] & first[geom[:, 1]]) * 1.0
+                sensordata = sensordata.at[adr : adr + 3].set(sign @ force)
+        return sensordata, jnp.int32(0)

@@ -1,0 +1,82 @@
+"""Policies: learned or scripted, behind one call.
+
+A policy acts on one observation [n]; batch it with `jax.vmap`. Its parameters are a pytree given
+with every call, so that a population is the same policy with a leading axis on the parameters.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import jax
+import jax.numpy as jnp
+
+from assistax.errors import choose
+from assistax.learning.networks import mlp
+from assistax.learning.normalizer import normalize
+
+
+class Policy(Protocol):
+    def initial_carry(self) -> Any:
+        """Memory at the beginning of an episode; () for none."""
+        ...
+
+    def act(self, params: Any, carry: Any, obs: jax.Array, reset: jax.Array, key: jax.Array):
+        """(action, carry) for obs [n]; `reset` is true on the first step of an episode."""
+        ...
+
+
+@dataclass(frozen=True)
+class Still:
+    """Does nothing."""
+
+    action_size: int
+
+    def initial_carry(self):
+        return ()
+
+    def act(self, params, carry, obs, reset, key):
+        return jnp.zeros(self.action_size), carry
+
+
+@dataclass(frozen=True)
+class Random:
+    """Uniform in [-1, 1], afresh at every step."""
+
+    action_size: int
+
+    def initial_carry(self):
+        return ()
+
+    def act(self, params, carry, obs, reset, key):
+        return jax.random.uniform(key, (self.action_size,), minval=-1.0, maxval=1.0), carry
+
+
+@dataclass(frozen=True)
+class Actor:
+    """A trained feed-forward actor; params: {"actor": ..., "normalizer": ...}."""
+
+    activation: str = "tanh"
+    normalize_obs: bool = True
+    deterministic: bool = True
+
+    def initial_carry(self):
+        return ()
+
+    def act(self, params, carry, obs, reset, key):
+        if self.normalize_obs:
+            obs = normalize(params["normalizer"], obs)
+        mean = mlp(params["actor"]["layers"], obs, self.activation)
+        if self.deterministic:
+            return mean, carry
+        return mean + jnp.exp(params["actor"]["log_std"]) * jax.random.normal(key, mean.shape), carry
+
+
+SCRIPTED = {"still": Still, "random": Random}
+Team = dict[str, tuple[Policy, Any]]
+"""By agent, a policy and its parameters."""
+
+
+def scripted_team(name: str, env) -> Team:
+    """Both seats played by the scripted policy called `name`."""
+    kind = SCRIPTED[choose("policy", name, SCRIPTED)]
+    return {agent: (kind(env.action_sizes[agent]), ()) for agent in env.agents}

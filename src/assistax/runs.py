@@ -1,0 +1,306 @@
+"""Runs: one training, one folder, resumable at any moment.
+
+    config.json           what was asked for
+    metrics.jsonl         one line per iteration and seed
+    checkpoints/          the newest two, each written whole or not at all
+    learning_curve.png    summary.json    rollout.mp4
+"""
+
+import dataclasses
+import json
+import signal
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+from tqdm import tqdm
+
+from assistax.config import with_settings
+from assistax.env import Env, EnvConfig
+from assistax.errors import UsageError, choose
+from assistax.evaluation import play, summarize
+from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
+from assistax.learning.ppo import PPO, PPOConfig, TrainState
+from assistax.learning.presets import ALGORITHMS, preset
+from assistax.physics import check_faults, resolve_engine
+from assistax.policies import Actor, Team
+from assistax.stamp import peak_memory_mb, stamp
+from assistax.tasks import task_class
+from assistax.viewing import film, learning_curve
+
+DEFAULT_STEPS = 3_000_000
+CHECKPOINT_SECONDS = 60.0
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    task: str
+    algorithm: str = "ippo"
+    preset: str = "default"
+    engine: str = "auto"
+    steps: int = DEFAULT_STEPS  # per seed; rounded up to whole iterations
+    num_envs: int = 1024  # per seed
+    seed: int = 0
+    num_seeds: int = 1
+    env: EnvConfig = field(default_factory=EnvConfig)
+    task_config: Any = None
+    ppo: PPOConfig = field(default_factory=PPOConfig)
+
+    def __post_init__(self):
+        for name in ("steps", "num_envs", "num_seeds"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"{name} must be 1 or more, not {getattr(self, name)}.")
+
+
+def configure(task: str, settings: dict[str, Any], **choices) -> TrainConfig:
+    """A TrainConfig from a task's preset, then `choices` (fields), then `settings` ("ppo.gamma": 0.98)."""
+    cls = task_class(task)
+    choices = {name: value for name, value in choices.items() if value is not None}
+    choose("algorithm", choices.get("algorithm", "ippo"), ALGORITHMS)
+    config = TrainConfig(task, task_config=cls.config_type(), **choices)
+    resolve_engine(config.engine)
+    ppo = with_settings(config.ppo, preset(config.preset, config.algorithm, task))
+    return with_settings(dataclasses.replace(config, ppo=ppo), settings)
+
+
+class Run:
+    """A run folder, new or found."""
+
+    def __init__(self, folder: Path, config: TrainConfig):
+        self.folder, self.config = folder, config
+        self.env = Env(config.task, config.engine, config.env, config.task_config)
+        self.steps_per_iteration = config.num_envs * config.ppo.num_steps
+        self.iterations = -(-config.steps // self.steps_per_iteration)
+        self.trainer = PPO(self.env, config.ppo, config.num_envs, self.iterations)
+
+    @classmethod
+    def create(cls, config: TrainConfig, folder: Path) -> "Run":
+        """Make the folder; it must be new or empty."""
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise UsageError(f"{folder} is already in use; name another --out, or continue it with --resume {folder}.")
+        run = cls(folder, config)
+        try:
+            (folder / "checkpoints").mkdir(parents=True)
+        except OSError as error:
+            raise UsageError(f"Cannot write to {folder}: {error.strerror}.") from None
+        run._write_config()
+        return run
+
+    @classmethod
+    def open(cls, folder: Path, **changes) -> "Run":
+        """Read a run folder; `changes` replace fields of its configuration."""
+        path = folder / "config.json"
+        if not path.exists():
+            raise UsageError(f"{folder} is not a run folder: it has no config.json.")
+        try:
+            stored = json.loads(path.read_text())
+            blank = TrainConfig(stored["task"], task_config=task_class(stored["task"]).config_type())
+            config = with_settings(blank, {k: v for k, v in stored.items() if k not in ("task", "stamp")})
+        except (json.JSONDecodeError, KeyError, TypeError):
+            raise UsageError(f"{path} is damaged; restore it or start a new run.") from None
+        changes = {name: value for name, value in changes.items() if value is not None}
+        return cls(folder, dataclasses.replace(config, **changes))
+
+    # -- training ------------------------------------------------------------------------------
+
+    def train(self) -> dict[str, Any] | None:
+        """Train to the end, from the newest checkpoint if there is one; None if stopped by Ctrl-C."""
+        state, seconds = self._start()
+        done = int(state.iteration[0])
+        self._keep_metrics(done * self.steps_per_iteration)
+        collect, improve = (self._over_seeds(f) for f in (self.trainer.collect, self.trainer.improve))
+        total = self.iterations * self.steps_per_iteration * self.config.num_seeds
+        clock = Clock(seconds)
+        stop = Stop()
+        with (
+            stop,
+            open(self.folder / "metrics.jsonl", "a") as log,
+            tqdm(total=total, initial=done * total // self.iterations, unit=" steps", unit_scale=True) as bar,
+        ):
+            saved = time.monotonic()
+            while done < self.iterations and not stop.asked:
+                with clock("collect"):
+                    state, batch = jax.block_until_ready(collect(state))
+                check_faults(batch["log"]["fault"], self.env.engine.name)
+                with clock("update"):
+                    state, losses = jax.block_until_ready(improve(state, batch))
+                done += 1
+                rows = self._rows(done, clock, batch["log"], losses)
+                log.write("".join(json.dumps(row) + "\n" for row in rows))
+                log.flush()
+                bar.update(total // self.iterations)
+                ended = [row for row in rows if row["episodes"]]
+                if ended:
+                    mean = np.mean([row["episode"]["return"] for row in ended])
+                    success = np.mean([row["episode"]["success"] for row in ended])
+                    bar.set_postfix_str(f"return {mean:.0f}, success {success:.0%}")
+                if time.monotonic() - saved > CHECKPOINT_SECONDS or done == self.iterations or stop.asked:
+                    self._save(state, clock)
+                    saved = time.monotonic()
+        if done < self.iterations:
+            return None
+        return self._finish(state, clock)
+
+    def _over_seeds(self, fn):
+        """Jit `fn` over the leading axis of seeds that every array of a run has."""
+        if self.config.num_seeds > 1:
+            return jax.jit(jax.vmap(fn))
+        # One seed is not worth a batched program, which CPUs run more slowly.
+        def single(*args):
+            out = fn(*jax.tree.map(lambda x: x[0], args))
+            return jax.tree.map(lambda x: x[None], out)
+
+        return jax.jit(single)
+
+    def _seed_keys(self):
+        """One key [num_seeds] per seed: run k of a batch is the run of --seed S+k alone."""
+        seeds = range(self.config.seed, self.config.seed + self.config.num_seeds)
+        return jax.numpy.stack([jax.random.key(seed) for seed in seeds])
+
+    def _start(self) -> tuple[TrainState, dict[str, float]]:
+        """The newest checkpoint's state, or a fresh one; and the seconds spent so far."""
+        path = self.newest_checkpoint()
+        init = self._over_seeds(self.trainer.init)
+        if path is None:
+            return init(self._seed_keys()), {}
+        return load_checkpoint(path, jax.eval_shape(init, self._seed_keys())), read_metadata(path)["seconds"]
+
+    def newest_checkpoint(self) -> Path | None:
+        return max((self.folder / "checkpoints").glob("step_*.safetensors"), default=None)
+
+    def _save(self, state: TrainState, clock: "Clock") -> None:
+        steps = int(state.iteration[0]) * self.steps_per_iteration
+        about = {"task": self.config.task, "algorithm": self.config.algorithm, "steps": steps}
+        folder = self.folder / "checkpoints"
+        save_checkpoint(folder / f"step_{steps:012d}.safetensors", state, about | {"seconds": clock.seconds})
+        for old in sorted(folder.glob("step_*.safetensors"))[:-2]:
+            old.unlink()
+
+    def _rows(self, done: int, clock: "Clock", log, losses) -> list[dict]:
+        """One row of metrics.jsonl per seed."""
+        log, losses = jax.tree.map(np.asarray, (log, losses))
+        rows = []
+        for i in range(self.config.num_seeds):
+            one = jax.tree.map(lambda x, i=i: x[i].item(), (log, losses))
+            row = {"steps": done * self.steps_per_iteration, "seed": self.config.seed + i}
+            rows.append(row | {"seconds": round(sum(clock.seconds.values()), 3)} | one[0] | {"losses": one[1]})
+        return rows
+
+    def _keep_metrics(self, steps: int) -> None:
+        """Drop rows after `steps`, and a last line that a crash has torn."""
+        path = self.folder / "metrics.jsonl"
+        kept = [row for row in self.metrics() if row["steps"] <= steps]
+        write_atomically(path, "".join(json.dumps(row) + "\n" for row in kept).encode())
+
+    def metrics(self) -> list[dict]:
+        """The rows of metrics.jsonl that are whole."""
+        path = self.folder / "metrics.jsonl"
+        rows = []
+        for line in path.read_text().splitlines() if path.exists() else []:
+            try:
+                rows.append(json.loads(line))
+            except json.JSONDecodeError:
+                break
+        return rows
+
+    def _write_config(self) -> None:
+        content = dataclasses.asdict(self.config) | {"stamp": stamp()}
+        write_atomically(self.folder / "config.json", json.dumps(content, indent=2).encode())
+
+    # -- afterwards ----------------------------------------------------------------------------
+
+    def _finish(self, state: TrainState, clock: "Clock") -> dict[str, Any]:
+        """Write summary, curve and film of a finished run; returns the summary."""
+        config = self.config
+        results = [play(self.env, self.team(state, seed), 64) for seed in range(config.num_seeds)]
+        each = [summarize(result) for result in results]
+        seconds = sum(clock.seconds.values())
+        steps = self.iterations * self.steps_per_iteration
+        summary = {
+            "task": config.task,
+            "algorithm": config.algorithm,
+            "preset": config.preset,
+            "engine": self.env.engine.name,
+            "steps": steps,
+            "num_envs": config.num_envs,
+            "seeds": [config.seed + i for i in range(config.num_seeds)],
+            "success_rate": float(np.mean([one["success_rate"] for one in each])),
+            "mean_return": float(np.mean([one["mean_return"] for one in each])),
+            "env_steps_per_s": round(steps * config.num_seeds / max(seconds, 1e-9)),
+            "seconds": {name: round(value, 1) for name, value in clock.seconds.items()},
+            "peak_memory_mb": round(peak_memory_mb()),
+            "evaluation": each,
+            **stamp(),
+        }
+        write_atomically(self.folder / "summary.json", json.dumps(summary, indent=2).encode())
+        rows = self.metrics()
+        title = f"{config.task}, {config.algorithm} ({config.preset} preset), {steps / 1e6:.1f} M steps"
+        learning_curve(rows, title, self.folder / "learning_curve.png")
+        self.film(results[0], typical(results[0]), self.folder / "rollout.mp4")
+        return summary
+
+    def film(self, result: dict[str, Any], episode: int, path: Path, **camera) -> None:
+        """Film one episode of what `evaluation.play` returned."""
+        on = result["playing"][episode]
+        film(self.config.task, result["qpos"][episode][on], result["marker"][episode][on], self.env.dt, path, **camera)
+
+    def team(self, state: TrainState | None = None, seed: int = 0, deterministic: bool = True) -> Team:
+        """The trained policies of one seed, by default from the newest checkpoint."""
+        if state is None:
+            if self.newest_checkpoint() is None:
+                raise UsageError(f"{self.folder} has no checkpoint yet.")
+            state, _ = self._start()
+        policy = Actor(self.config.ppo.activation, self.config.ppo.normalize_obs, deterministic)
+        one = jax.tree.map(lambda x: x[seed], (state.params, state.normalizer))
+        return {
+            agent: (policy, {"actor": one[0][agent]["actor"], "normalizer": one[1][agent]})
+            for agent in self.env.agents
+        }
+
+
+def typical(result: dict[str, Any]) -> int:
+    """The episode with the median return: a film should show what usually happens."""
+    returns = result["metrics"]["return"]
+    return int(np.argsort(returns)[len(returns) // 2])
+
+
+class Clock:
+    """Adds up the seconds spent in named blocks."""
+
+    def __init__(self, seconds: dict[str, float]):
+        self.seconds = dict(seconds)
+
+    def __call__(self, name: str):
+        self._name = name
+        return self
+
+    def __enter__(self):
+        self._since = time.perf_counter()
+
+    def __exit__(self, *_):
+        passed = time.perf_counter() - self._since
+        self.seconds[self._name] = self.seconds.get(self._name, 0.0) + passed
+
+
+class Stop:
+    """Turns the first Ctrl-C into a request to stop after this iteration; the second one interrupts."""
+
+    asked = False
+
+    def __enter__(self):
+        def ask(*_):
+            self.asked = True
+            signal.signal(signal.SIGINT, self._before)
+
+        try:
+            self._before = signal.signal(signal.SIGINT, ask)
+        except ValueError:  # not the main thread: then nobody sends us Ctrl-C
+            self._before = None
+        return self
+
+    def __exit__(self, *_):
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)

@@ -1,0 +1,260 @@
+"""Scenes: one MuJoCo model per task, composed from the MJCF parts in ``assets/``.
+
+A scene has 16 hinges and nothing else that moves: nine of the person, seven of the robot. Everything a
+task may read is a named sensor (see :func:`sensor_slices`); everything an agent drives is an actuator:
+first the person's motors (ctrl in [-1, 1]), then the robot's seven.
+
+Which geoms touch (contype / conaffinity; two geoms touch if either's type is in the other's affinity):
+
+    class                                     contype  conaffinity   touches
+    robot: tool, mount, hand, links 5-7          1          0        arms, trunk, furniture
+    person's arms and hands                      2          1        robot, trunk, furniture
+    person's head, trunk, waist, pelvis, thighs  4          3        robot, arms, furniture
+    furniture's main boxes                       0          7        robot, arms, trunk
+
+So the robot never touches itself, one arm never the other, and nothing touches the floor. A body and its
+parent never touch in MuJoCo (upper arm and torso overlap at the shoulder by construction).
+
+Units: m, kg, s, rad, N, N m. World frame: z up.
+"""
+
+import os
+import sys
+from dataclasses import dataclass
+from math import cos, pi, sin
+from pathlib import Path
+
+if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+    os.environ.setdefault("MUJOCO_GL", "egl")  # headless rendering; read when mujoco is first imported
+
+import mujoco
+import numpy as np
+
+ASSETS = Path(__file__).parent / "assets"
+
+HUMAN_JOINTS = (
+    "neck_yaw", "neck_pitch", "trunk_pitch",
+    "right_shoulder1", "right_shoulder2", "right_elbow",
+    "left_shoulder1", "left_shoulder2", "left_elbow",
+)  # fmt: skip
+ROBOT_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
+RIGHT_ARM = ("right_shoulder1", "right_shoulder2", "right_elbow")
+NECK = ("neck_yaw", "neck_pitch")
+
+FORCE_NETFORCE = (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3, 1)  # data="force" reduce="netforce" num="1"
+READY_POSE = (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)  # rad
+HUMAN_TORQUE = 10.0  # N m at action 1
+ROBOT_TORQUE = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)  # N m, the Panda's limits
+SERVO_STIFFNESS = (1433.0, 1433.0, 1115.0, 1115.0, 637.0, 637.0, 637.0)  # N m/rad
+SERVO_DAMPING = (450.0, 450.0, 350.0, 350.0, 200.0, 200.0, 200.0)  # N m s/rad
+
+
+@dataclass(frozen=True)
+class Posture:
+    """How the person sits or lies. Angles in rad, positive pitch = nodding forward."""
+
+    pelvis_pos: tuple[float, float, float]
+    yaw: float  # heading; 0 = facing world x
+    pelvis_pitch: float
+    hip: float  # thigh relative to the pelvis; negative = thigh raised
+    knee: float  # positive = bent
+    rest: tuple[float, ...]  # the nine HUMAN_JOINTS in equilibrium on the furniture
+    spring: tuple[float, ...]  # their spring references: tuned so that no limb slides, even without friction
+
+
+POSTURES = {
+    "seated": Posture(
+        pelvis_pos=(0.0, 0.098, 0.6066), yaw=pi / 2, pelvis_pitch=-0.8695, hip=-0.527, knee=1.993,
+        rest=(0.0, 0.2, 0.6262, 0.4469, -0.4611, -0.5034, -0.4469, 0.4611, -0.5034),
+        spring=(0.0, 0.2, 0.6262, 0.6006, -0.0681, 0.0, -0.6006, 0.0681, 0.0),
+    ),
+    "lying": Posture(
+        pelvis_pos=(0.0, 0.0, 0.775), yaw=0.0, pelvis_pitch=-1.558, hip=0.017, knee=0.033,
+        rest=(0.0, 0.0, 0.137, 0.684, -0.818, -1.4, -0.684, 0.818, -1.4),
+        spring=(0.0, 0.0, 0.137, 0.684, -0.818, 0.0, -0.684, 0.818, 0.0),
+    ),
+    "lying_arm_out": Posture(
+        pelvis_pos=(0.0, 0.0, 0.775), yaw=0.0, pelvis_pitch=-1.558, hip=0.017, knee=0.033,
+        rest=(0.0, 0.0, 0.137, -0.13, -0.95, -1.5, -0.684, 0.818, -1.4),
+        spring=(0.0, 0.0, 0.137, -0.13, -0.95, 0.0, -0.684, 0.818, 0.0),
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SceneConfig:
+    """What stands where, and who drives what."""
+
+    furniture: str  # part in assets/
+    posture: str  # key of POSTURES
+    tool: str  # part in assets/
+    robot_pos: tuple[float, float, float]
+    robot_yaw: float
+    human_driven: tuple[str, ...]  # joints with a motor, in the order of the human's action
+    human_strength: float = 1.0  # fraction of HUMAN_TORQUE
+    targets: tuple[str, ...] = ()  # target sites on the person that become visible and get sensors
+    control: str = "torque"  # or "position": the robot's ctrl is a joint target in rad
+    camera: tuple[float, ...] = (1.9, 1.9, 1.75, 0.25, 0.05, 0.72)  # eye and point looked at
+    close: tuple[float, ...] = (0.95, 0.85, 1.25, 0.25, 0.02, 0.82)
+
+    def __post_init__(self):
+        if self.control not in ("torque", "position"):
+            raise ValueError(f"control must be 'torque' or 'position', not {self.control!r}")
+        if self.posture not in POSTURES:
+            raise ValueError(f"posture must be one of {sorted(POSTURES)}, not {self.posture!r}")
+        if unknown := set(self.human_driven) - set(HUMAN_JOINTS):
+            raise ValueError(f"human_driven holds {sorted(unknown)}; the joints are {HUMAN_JOINTS}")
+
+
+BED_SIDE = ((-0.25, -0.9, 0.0), pi / 2)  # the robot stands at the person's right and looks at the bed
+BED_VIEW = {"camera": (1.2, -2.0, 1.9, -0.2, -0.2, 0.62), "close": (0.45, -1.1, 1.35, -0.3, -0.25, 0.75)}
+SCENES = {
+    "scratch": SceneConfig("wheelchair", "seated", "scratcher", (0.75, 0.0, 0.0), pi, RIGHT_ARM),
+    "bed_bath": SceneConfig("bed", "lying", "wiper", *BED_SIDE, RIGHT_ARM, **BED_VIEW),
+    "arm_assist": SceneConfig(
+        "bed", "lying_arm_out", "hook", *BED_SIDE, RIGHT_ARM, human_strength=0.2,
+        targets=("wrist_target", "waist_target"), **BED_VIEW,
+    ),
+    "feeding": SceneConfig("wheelchair", "seated", "spoon", (0.75, 0.0, 0.32), pi, NECK),
+    "tooth_brushing": SceneConfig("wheelchair", "seated", "toothbrush", (0.75, 0.0, 0.32), pi, NECK),
+}  # fmt: skip
+
+
+def build(config: SceneConfig, visuals: bool = True) -> mujoco.MjSpec:
+    """The scene as an editable spec; ``build(config).compile()`` gives the model.
+
+    Without visuals the geoms that neither touch nor weigh anything are left out: the same states, sensors
+    and dynamics, a little faster.
+    """
+    spec = mujoco.MjSpec.from_file(str(ASSETS / "world.xml"))
+    world = spec.worldbody
+    _attach(spec, config.furniture, world)
+    _attach(spec, "human", world)
+    _attach(spec, "panda", world, config.robot_pos, _turn("z", config.robot_yaw))
+    if config.robot_pos[2] > 0:
+        _attach(spec, "table", world, (*config.robot_pos[:2], 0.0))
+    _attach(spec, config.tool, spec.body("hand"), (0.0, 0.0, 0.1), _turn("z", pi))
+    for name in config.targets:
+        spec.site(name).group = 1
+    if not visuals:
+        for geom in [g for g in spec.geoms if not (g.contype or g.conaffinity) and g.mass == 0]:
+            spec.delete(geom)
+    posture = POSTURES[config.posture]
+    _pose_human(spec, posture)
+    for body in spec.body("robot").find_all("body"):
+        body.gravcomp = 1.0  # the real arm's torque interface compensates gravity
+    _add_actuators(spec, config)
+    _add_sensors(spec, config)
+    for name, view in (("main", config.camera), ("close", config.close)):
+        world.add_camera(name=name, pos=view[:3], quat=_look(view[:3], view[3:]), fovy=45)
+    angles = dict(zip(HUMAN_JOINTS + ROBOT_JOINTS, posture.rest + READY_POSE, strict=True))
+    spec.add_key(name="start", qpos=[angles[joint.name] for joint in spec.joints])
+    return spec
+
+
+def sensor_slices(model: mujoco.MjModel) -> dict[str, slice]:
+    """Where each named sensor lies in ``sensordata``."""
+    return {
+        model.sensor(i).name: slice(int(adr), int(adr + dim))
+        for i, (adr, dim) in enumerate(zip(model.sensor_adr, model.sensor_dim, strict=True))
+    }
+
+
+def qpos_ids(model: mujoco.MjModel, joints: tuple[str, ...]) -> np.ndarray:
+    """Addresses of the joints in ``qpos``; the same in ``qvel``, as all joints are hinges."""
+    return np.array([model.joint(name).qposadr[0] for name in joints])
+
+
+def _attach(spec, part, parent, pos=(0.0, 0.0, 0.0), quat=(1.0, 0.0, 0.0, 0.0)):
+    path = ASSETS / f"{part}.xml"
+    if not path.exists():
+        raise ValueError(f"no part named {part!r}; there are {sorted(p.stem for p in ASSETS.glob('*.xml'))}")
+    frame = parent.add_frame(pos=pos, quat=quat)
+    spec.attach(mujoco.MjSpec.from_file(str(path)), frame=frame, prefix=f"{part}/")
+    for element in (*spec.bodies, *spec.joints, *spec.geoms, *spec.sites):  # names are unique without it
+        element.name = element.name.removeprefix(f"{part}/")
+
+
+def _pose_human(spec, posture):
+    """Place the pelvis, bend the fixed joints, set the spring references."""
+    spec.body("human").pos = posture.pelvis_pos
+    spec.body("human").quat = _turn("z", posture.yaw)
+    spec.body("pelvis").quat = _turn("y", posture.pelvis_pitch)
+    for side in ("right", "left"):
+        spec.body(f"{side}_thigh").quat = _turn("y", posture.hip)
+        spec.body(f"{side}_shin").quat = _turn("y", posture.knee)
+    for name, angle in zip(HUMAN_JOINTS, posture.spring, strict=True):
+        spec.joint(name).springref = angle
+
+
+def _add_actuators(spec, config):
+    """The person's motors, then the robot's; strength is ``actuator_gainprm[:, 0]``, never the gear."""
+    joint = mujoco.mjtTrn.mjTRN_JOINT
+    for name in config.human_driven:
+        motor = spec.add_actuator(name=name, target=name, trntype=joint, ctrllimited=True, ctrlrange=(-1, 1))
+        motor.gainprm[0] = HUMAN_TORQUE * config.human_strength
+    for i, name in enumerate(ROBOT_JOINTS):
+        limit = ROBOT_TORQUE[i]
+        motor = spec.add_actuator(name=name, target=name, trntype=joint, ctrllimited=True)
+        if config.control == "torque":
+            motor.ctrlrange = (-limit, limit)
+            motor.gainprm[0] = 1.0
+        else:
+            motor.ctrlrange = spec.joint(name).range
+            motor.forcelimited, motor.forcerange = True, (-limit, limit)
+            motor.gainprm[0] = SERVO_STIFFNESS[i]
+            motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            motor.biasprm[1:3] = -SERVO_STIFFNESS[i], -SERVO_DAMPING[i]
+
+
+def _add_sensors(spec, config):
+    """Joints, tool, arm, mouth, targets; the two contact forces last.
+
+    ``tool_force``: net force of the tool's working surface on the person; ``robot_force``: of the whole
+    robot on the person (N, world frame).
+    """
+    kind, obj = mujoco.mjtSensor, mujoco.mjtObj
+
+    def sense(name, type_, objtype, objname, **kwargs):
+        spec.add_sensor(name=name, type=type_, objtype=objtype, objname=objname, **kwargs)
+
+    joints = HUMAN_JOINTS + ROBOT_JOINTS
+    for joint in joints:
+        sense(f"pos_{joint}", kind.mjSENS_JOINTPOS, obj.mjOBJ_JOINT, joint)
+    for joint in joints:
+        sense(f"vel_{joint}", kind.mjSENS_JOINTVEL, obj.mjOBJ_JOINT, joint)
+    for joint in (*config.human_driven, *ROBOT_JOINTS):  # N m, as the actuator exerts it
+        sense(f"torque_{joint}", kind.mjSENS_ACTUATORFRC, obj.mjOBJ_ACTUATOR, joint)
+    pos, quat = kind.mjSENS_FRAMEPOS, kind.mjSENS_FRAMEQUAT
+    sense("tool_pos", pos, obj.mjOBJ_SITE, "tool_tip")
+    sense("tool_quat", quat, obj.mjOBJ_SITE, "tool_tip")
+    sense("tool_vel", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, "tool_tip")
+    sense("tool_angvel", kind.mjSENS_FRAMEANGVEL, obj.mjOBJ_SITE, "tool_tip")
+    for segment in ("upper_arm", "forearm"):  # xbody: the body's own frame, not its centre of mass
+        sense(f"{segment}_pos", pos, obj.mjOBJ_XBODY, f"right_{segment}")
+        sense(f"{segment}_quat", quat, obj.mjOBJ_XBODY, f"right_{segment}")
+    sense("mouth_pos", pos, obj.mjOBJ_SITE, "mouth")
+    for target in config.targets:
+        sense(f"{target}_pos", pos, obj.mjOBJ_SITE, target)
+        sense(f"{target}_quat", quat, obj.mjOBJ_SITE, target)
+    for name, objtype, objname in (
+        ("tool_force", obj.mjOBJ_BODY, "tool"),
+        ("robot_force", obj.mjOBJ_XBODY, "robot"),  # in contact sensors, xbody means the whole subtree
+    ):
+        sense(name, kind.mjSENS_CONTACT, objtype, objname, reftype=obj.mjOBJ_XBODY, refname="human",
+              intprm=FORCE_NETFORCE)  # fmt: skip
+
+
+def _turn(axis, angle):
+    """Quaternion of a rotation about a coordinate axis."""
+    return [cos(angle / 2)] + [sin(angle / 2) * (axis == name) for name in "xyz"]
+
+
+def _look(eye, point):
+    """Quaternion of a camera at eye, looking at point, upright."""
+    back = np.subtract(eye, point) / np.linalg.norm(np.subtract(eye, point))
+    right = np.cross((0.0, 0.0, 1.0), back)
+    right /= np.linalg.norm(right)
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, np.stack([right, np.cross(back, right), back], axis=1).ravel())
+    return quat

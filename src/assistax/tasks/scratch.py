@@ -1,0 +1,117 @@
+"""Scratch an itch on the right arm: reach it, press with about 3 N, move at about 0.1 m/s.
+
+Paper: task "Scratch"; reward components r_t and r_s.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from assistax import spatial
+from assistax.pytree import pytree
+from assistax.tasks.base import Sensors
+from assistax.tasks.rewards import boltzmann, norm, reach
+
+SEGMENTS = ("upper_arm", "forearm")
+
+
+@dataclass(frozen=True)
+class ScratchConfig:
+    near: float = 0.1  # m, the scratch term counts when the tool is nearer than this
+    speed: float = 0.1  # m/s, v* of the scratch term
+    force: float = 3.0  # N, f* of the scratch term
+    scratch_scale: float = 4.0
+    # Where an itch can be: between these fractions of the segment's half-length, and within this
+    # angle of the side that faces away from the trunk; the rest is out of the robot's reach.
+    height: tuple[float, float] = (-1.0, 1.0)
+    angle: float = 1.2  # rad
+    # What counts as scratching, and for how long it must last to be a success.
+    scratch_force: tuple[float, float] = (1.0, 6.0)  # N
+    scratch_speed: tuple[float, float] = (0.03, 0.3)  # m/s
+    success_seconds: float = 2.0
+
+
+@pytree
+class ScratchState:
+    segment: jax.Array  # int32: index into SEGMENTS
+    itch: jax.Array  # [3] m, the itch in the segment's body frame
+    scratch_seconds: jax.Array
+
+
+class Scratch:
+    name: ClassVar[str] = "scratch"
+    title: ClassVar[str] = "Scratch an itch on the person's right arm"
+    config_type = ScratchConfig
+
+    def __init__(self, config: ScratchConfig, model: mujoco.MjModel, dt: float):
+        self.config, self.dt = config, dt
+        capsules = [spatial.capsule(model, f"right_{segment}") for segment in SEGMENTS]
+        self._centre = jnp.array([c.centre for c in capsules])
+        self._axis = jnp.array([c.axis for c in capsules])
+        self._length = jnp.array([c.half_length for c in capsules])
+        self._radius = jnp.array([c.radius for c in capsules])
+        # Angles are measured around the axis from the side that faces away from the trunk at rest.
+        outward = [spatial.outward(model, f"right_{segment}", c) for segment, c in zip(SEGMENTS, capsules, strict=True)]
+        self._outward = jnp.array(outward)
+        self._side = jnp.array(np.cross([c.axis for c in capsules], outward))
+
+    def reset(self, key) -> ScratchState:
+        """An itch on the skin of either segment, uniform in height and angle."""
+        c = self.config
+        u = jax.random.uniform(key, (3,))
+        segment = (u[0] < 0.5).astype(jnp.int32)
+        height = (c.height[0] + (c.height[1] - c.height[0]) * u[1]) * self._length[segment]
+        angle = c.angle * (2.0 * u[2] - 1.0)
+        normal = jnp.cos(angle) * self._outward[segment] + jnp.sin(angle) * self._side[segment]
+        itch = self._centre[segment] + height * self._axis[segment] + self._radius[segment] * normal
+        return ScratchState(segment, itch, jnp.float32(0.0))
+
+    def _to_itch(self, s: Sensors, state: ScratchState):
+        """Vector [3] from the tool to the itch, in world axes."""
+        on_upper = state.segment == 0
+        pos = jnp.where(on_upper, s["upper_arm_pos"], s["forearm_pos"])
+        quat = jnp.where(on_upper, s["upper_arm_quat"], s["forearm_quat"])
+        return pos + spatial.rotate(quat, state.itch) - s["tool_pos"]
+
+    def observe(self, s: Sensors, state: ScratchState):
+        vector = self._to_itch(s, state)
+        return {
+            "forearm_pos": s["forearm_pos"],
+            "upper_arm_pos": s["upper_arm_pos"],
+            "target_vector": vector,
+            "target_distance": norm(vector)[None],
+        }
+
+    def reward_terms(self, s: Sensors, state: ScratchState):
+        c = self.config
+        distance = norm(self._to_itch(s, state))
+        speed, force = norm(s["tool_vel"]), norm(s["tool_force"])
+        moving, pressing = boltzmann(speed / c.speed), boltzmann(force / c.force)
+        return {
+            "reach": reach(distance),
+            "scratch": c.scratch_scale * (distance < c.near) * moving * pressing,
+        }
+
+    def advance(self, s: Sensors, state: ScratchState) -> ScratchState:
+        c = self.config
+        speed, force = norm(s["tool_vel"]), norm(s["tool_force"])
+        scratching = norm(self._to_itch(s, state)) < c.near
+        scratching &= (c.scratch_force[0] <= force) & (force <= c.scratch_force[1])
+        scratching &= (c.scratch_speed[0] <= speed) & (speed <= c.scratch_speed[1])
+        return ScratchState(state.segment, state.itch, state.scratch_seconds + self.dt * scratching)
+
+    def outcomes(self, state: ScratchState):
+        return {"scratch_seconds": state.scratch_seconds}
+
+    def success(self, state: ScratchState):
+        return state.scratch_seconds >= self.config.success_seconds
+
+    def terminated(self, state: ScratchState):
+        return jnp.bool_(False)
+
+    def markers(self, s: Sensors, state: ScratchState):
+        return s["tool_pos"] + self._to_itch(s, state)

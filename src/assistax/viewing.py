@@ -1,0 +1,86 @@
+"""Pictures and films of a scene, and learning curves."""
+
+import dataclasses
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from assistax import scenes
+from assistax.errors import UsageError
+
+FRAMES_PER_SECOND = 25
+
+
+class Camera:
+    """Renders joint positions of one task's scene. Use as a context manager."""
+
+    def __init__(self, task: str, width: int = 640, height: int = 480, view: str = "main"):
+        self.model = scenes.build(dataclasses.replace(scenes.SCENES[task])).compile()
+        self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
+        self.data = mujoco.MjData(self.model)
+        self.view = view
+        try:
+            self._renderer = mujoco.Renderer(self.model, height, width)
+        except Exception as error:  # every OpenGL backend fails with an error of its own
+            raise UsageError(
+                f"Cannot render here ({str(error).splitlines()[0]}). Install EGL "
+                "(Debian: apt-get install libegl1 libgl1-mesa-dri) or set MUJOCO_GL=osmesa."
+            ) from None
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._renderer.close()
+
+    def picture(self, qpos: np.ndarray, marker: np.ndarray) -> np.ndarray:
+        """Pixels [height, width, 3] uint8 of the scene at qpos [nq], its target at marker [3]."""
+        self.data.qpos[:] = qpos
+        self.data.mocap_pos[0] = marker
+        mujoco.mj_forward(self.model, self.data)
+        self._renderer.update_scene(self.data, camera=self.view)
+        return self._renderer.render()
+
+
+def film(task: str, qpos: np.ndarray, markers: np.ndarray, dt: float, path: Path, **camera) -> None:
+    """Write an mp4, or for .png the last frame, of qpos [T, nq] with targets [T, 3], dt s apart."""
+    import imageio.v3 as iio
+
+    if path.suffix not in (".mp4", ".png"):
+        raise UsageError(f"Can write .mp4 and .png, not {path.name!r}.")
+    with Camera(task, **camera) as cam:
+        if path.suffix == ".png":
+            iio.imwrite(path, cam.picture(qpos[-1], markers[-1]))
+            return
+        stride = max(1, round(1 / (FRAMES_PER_SECOND * dt)))
+        frames = (cam.picture(q, m) for q, m in zip(qpos[::stride], markers[::stride], strict=True))
+        with iio.imopen(path, "w", plugin="FFMPEG") as video:
+            video.write(list(frames), fps=FRAMES_PER_SECOND, macro_block_size=1)
+
+
+def learning_curve(rows: list[dict], title: str, path: Path) -> None:
+    """Plot the return, the reward terms and the success rate of a run against its steps."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
+    terms = sorted(rows[0]["reward"])
+    for seed in sorted({row["seed"] for row in rows}):
+        mine = [row for row in rows if row["seed"] == seed]
+        ended = [row for row in mine if row["episodes"]]
+        label = f"seed {seed}"
+        for axis, name in ((axes[0], "return"), (axes[2], "success")):
+            axis.plot([r["steps"] / 1e6 for r in ended], [r["episode"][name] for r in ended], label=label, lw=1.2)
+        for i, term in enumerate(terms):
+            x, y = [r["steps"] / 1e6 for r in mine], [1000 * r["reward"][term] for r in mine]
+            axes[1].plot(x, y, color=f"C{i}", label=term if mine is not None and seed == rows[0]["seed"] else None, lw=1.2)
+    for axis, name in zip(axes, ("return per episode", "reward per 1000 steps, by term", "success rate"), strict=True):
+        axis.set(xlabel="million env steps", title=name)
+        axis.grid(alpha=0.3)
+        axis.legend(frameon=False, fontsize=8)
+    figure.suptitle(title, fontsize=10)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
