@@ -13,12 +13,13 @@ HUMAN_MASSES = {
 }  # fmt: skip
 HUMAN_RANGES = {
     "neck_yaw": (-1.3, 1.3), "neck_pitch": (-0.7, 0.5), "trunk_pitch": (-0.5236, 1.3090),
-    "right_shoulder1": (-1.4835, 1.0472), "right_shoulder2": (-1.4835, 1.0472), "right_elbow": (-1.5708, 0.8727),
-    "left_shoulder1": (-1.0472, 1.4835), "left_shoulder2": (-1.0472, 1.4835), "left_elbow": (-1.5708, 0.8727),
+    "right_shoulder1": (-1.4835, 1.0472), "right_shoulder2": (-1.4835, 1.0472),
+    "left_shoulder1": (-1.0472, 1.4835), "left_shoulder2": (-1.0472, 1.4835),
+    "right_elbow": (-1.5708, 0.8727), "left_elbow": (-1.5708, 0.8727),
 }  # fmt: skip
-PANDA_LIMITS = [(-2.8973, 2.8973), (-1.7628, 1.7628), (-2.8973, 2.8973), (-3.0718, -0.0698), (-2.8973, 2.8973),
-                (-0.0175, 3.7525), (-2.8973, 2.8973)]  # fmt: skip
-# link: offset from the parent (m), turn about x (rad), mass (kg), centre of mass (m), inertia (xx yy zz xy xz yz)
+PANDA_LIMITS = [(-2.8973, 2.8973), (-1.7628, 1.7628), (-2.8973, 2.8973), (-3.0718, -0.0698),
+                (-2.8973, 2.8973), (-0.0175, 3.7525), (-2.8973, 2.8973)]  # fmt: skip
+# per link: offset (m), quarter turns about x, mass (kg), centre of mass (m), inertia (xx yy zz xy xz yz)
 PANDA = [
     ((0, 0, 0.333), 0, 4.970684, (0.003875, 0.002081, -0.04762),
      (0.70337, 0.70661, 0.009117, -0.000139, 0.006772, 0.019169)),
@@ -133,7 +134,7 @@ def test_panda_inertials_and_limits(scene):
         full = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         assert axes @ np.diag(body.inertia) @ axes.T == pytest.approx(full, abs=2e-5)
         assert model.joint(f"joint{i}").range == pytest.approx(PANDA_LIMITS[i - 1])
-        assert (model.dof_damping[model.joint(f"joint{i}").id], model.dof_armature[i + 8]) == (1.0, 0.1)
+        assert (model.joint(f"joint{i}").damping[0], model.joint(f"joint{i}").armature[0]) == (1.0, 0.1)
     assert model.body("hand").mass[0] == 0.73
     tool = model.body("tool_mount").mass[0] + model.body("tool").mass[0]
     assert tool == pytest.approx(TOOL_MASS[config.tool], rel=0.01)
@@ -164,9 +165,8 @@ def test_start_pose(scene):
     margin = np.minimum(data.qpos - model.jnt_range[:, 0], model.jnt_range[:, 1] - data.qpos)
     assert margin.min() > 0.01  # the reset noise of 0.005 stays inside
     assert min(data.contact.dist, default=0) > -0.002
-    on = {frozenset(model.geom(g).name for g in pair) for pair in data.contact.geom}
-    assert not any(model.geom_contype[g] == 1 for pair in data.contact.geom for g in pair)  # robot hovers
-    assert len(on) >= 3  # both forearms and the trunk lie on something
+    assert 1 not in model.geom_contype[data.contact.geom]  # the robot hovers
+    assert len(np.unique(data.contact.geom, axis=0)) >= 3  # both forearms and the trunk lie on something
 
 
 def test_resting_person_and_robot_stay(scene):
@@ -177,7 +177,7 @@ def test_resting_person_and_robot_stay(scene):
     for _ in range(4000):
         mujoco.mj_step(model, data)
         furthest = max(furthest, np.linalg.norm(data.xpos - begin, axis=1).max())
-    assert furthest < 0.01
+    assert furthest < 1e-3  # the specification asks for 0.01; the balanced springs give 1e-4
     hand = model.body("hand").id
     assert np.linalg.norm(data.xpos[hand] - begin[hand]) < 1e-3
 
@@ -190,15 +190,16 @@ def test_human_motors(scene):
     torque = np.zeros(16)
     torque[scenes.qpos_ids(model, config.human_driven)] = 10.0 * config.human_strength
     assert data.qfrc_actuator == pytest.approx(torque)
+    gain = model.actuator_gainprm[: len(config.human_driven), 0]  # where a profile sets the strength
+    assert gain == pytest.approx(10.0 * config.human_strength)
 
 
 def test_contact_sensors(scene):
     """The force sensors are the sum of the contact forces on the person, in the world frame."""
     _, model = scene
     data, at = touch(model), scenes.sensor_slices(model)
-    root = model.body("human").id
-    under = np.array([_is_below(model, body, root) for body in range(model.nbody)])
-    robot = np.array([_is_below(model, body, model.body("robot").id) for body in range(model.nbody)])
+    under = model.body_rootid == model.body("human").id
+    robot = model.body_rootid == model.body("robot").id
     force = {"tool_force": np.zeros(3), "robot_force": np.zeros(3)}
     for i, contact in enumerate(data.contact):
         first, second = model.geom_bodyid[contact.geom]
@@ -214,12 +215,6 @@ def test_contact_sensors(scene):
     assert np.linalg.norm(force["tool_force"]) > 1.0
     for name, value in force.items():
         assert data.sensordata[at[name]] == pytest.approx(value, abs=1e-6), name
-
-
-def _is_below(model, body, root):
-    while body not in (0, root):
-        body = model.body_parentid[body]
-    return body == root
 
 
 def test_solver_converges(scene):
@@ -250,7 +245,9 @@ def test_without_visuals_is_the_same_physics(scene):
 
 
 def test_wrong_config_is_refused():
-    base = dict(furniture="wheelchair", posture="seated", tool="scratcher", robot_pos=(0, 0, 0), robot_yaw=0.0)
+    base = dict(
+        furniture="wheelchair", posture="seated", tool="scratcher", robot_pos=(0, 0, 0), robot_yaw=0.0
+    )
     with pytest.raises(ValueError, match="control"):
         scenes.SceneConfig(**base, human_driven=(), control="velocity")
     with pytest.raises(ValueError, match="human_driven"):

@@ -84,7 +84,7 @@ class Env:
         self.name, self.config = task, config
         cls = task_class(task)
         scene = dataclasses.replace(scenes.SCENES[task], control=config.control)
-        self.model = model = scenes.build(scene).compile()
+        self.model = model = scenes.build(scene, visuals=False).compile()
         self.engine = make_engine(
             engine,
             model,
@@ -118,8 +118,9 @@ class Env:
             self._ctrl_half *= config.torque_scale
         self.action_sizes = {"robot": len(scenes.ROBOT_JOINTS), "human": len(driven)}
         self._layouts = self._measure_layouts()
-        self.observation_sizes = {agent: self._layouts[agent][-1][1].stop for agent in AGENTS}
-        self.global_size = self._layouts["global"][-1][1].stop
+        sizes = {who: max(place.stop for place in layout.values()) for who, layout in self._layouts.items()}
+        self.observation_sizes = {agent: sizes[agent] for agent in AGENTS}
+        self.global_size = sizes["global"]
 
     # -- the two functions ---------------------------------------------------------------------
 
@@ -252,19 +253,25 @@ class Env:
         blocks = self._blocks(state)
         return {agent: _join(_seen_by(agent, blocks)) for agent in AGENTS}
 
-    def _measure_layouts(self):
-        def layout(blocks):
-            ends = np.cumsum([b.shape[0] for b in blocks.values()])
-            return [(n, slice(int(e - b.shape[0]), int(e))) for (n, b), e in zip(blocks.items(), ends, strict=True)]
+    def _measure_layouts(self) -> dict[str, dict[str, slice]]:
+        sizes = {}
 
-        def blocks_of(key):
+        def trace(key):
             qpos, qvel, task = self._draw(key)
             blank = jnp.zeros(self.model.nsensordata)
             physics = PhysicsState(qpos, qvel, qvel, blank, jnp.int32(0), {})
-            return self._blocks(EnvState(physics, task, jnp.int32(0), {}))
+            blocks = self._blocks(EnvState(physics, task, jnp.int32(0), {}))
+            sizes.update({name: block.shape[0] for name, block in blocks.items()})
 
-        blocks = jax.eval_shape(blocks_of, jax.random.key(0))
-        return {who: layout(_seen_by(who, blocks)) for who in (*AGENTS, "global")}
+        jax.eval_shape(trace, jax.random.key(0))
+        layouts = {}
+        for agent in (*AGENTS, "global"):
+            seen, end = {}, 0
+            for name, size in _seen_by(agent, sizes).items():
+                seen[name] = slice(end, end + size)
+                end += size
+            layouts[agent] = seen
+        return layouts
 
     @staticmethod
     def _no_episode() -> dict[str, jax.Array]:

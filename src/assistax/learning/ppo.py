@@ -266,7 +266,7 @@ def clip_networks(grads: dict, max_norm: float) -> dict:
     """Scale the gradient of each network (grads[agent][network]) to at most this norm."""
 
     def clip(grad):
-        scale = jnp.minimum(1.0, max_norm / (optax.global_norm(grad) + 1e-8))
+        scale = jnp.minimum(1.0, max_norm / (optax.tree.norm(grad) + 1e-8))
         return jax.tree.map(partial(jnp.multiply, scale), grad)
 
     return {agent: {name: clip(grad) for name, grad in nets.items()} for agent, nets in grads.items()}

@@ -1,5 +1,6 @@
 """MJX as pure JAX functions: Warp kernels (NVIDIA GPUs, CPUs) and pure JAX (TPUs, gradients)."""
 
+import copy
 import io
 from collections.abc import Callable
 from contextlib import redirect_stdout
@@ -12,6 +13,13 @@ import numpy as np
 
 from assistax.errors import UsageError
 from assistax.physics.engine import OVERFLOW, UNSTABLE, Overrides, PhysicsState
+
+try:
+    import warp
+
+    warp.config.quiet = True  # no banner
+except ImportError:
+    warp = None
 
 with redirect_stdout(io.StringIO()):  # without warp-lang the import prints a harmless complaint
     from mujoco import mjx
@@ -130,11 +138,8 @@ class WarpEngine(_MjxBase):
     name = impl = "warp"
 
     def __init__(self, model, substeps: int = 4, contacts_per_env: int = 24, constraints_per_env: int = 96):
-        try:
-            import warp
-        except ImportError:
-            raise UsageError("The warp engine needs warp-lang: pip install 'assistax[warp]'.") from None
-        warp.config.quiet = True
+        if warp is None:
+            raise UsageError("The warp engine needs warp-lang: pip install 'assistax[warp]'.")
         super().__init__(model, substeps)
         self._contacts, self._constraints = contacts_per_env, constraints_per_env
         self._model = mjx.put_model(model, impl="warp")
@@ -172,12 +177,11 @@ class MjxEngine(_MjxBase):
 
     def __init__(self, model: mujoco.MjModel, substeps: int = 4):
         super().__init__(model, substeps)
-        import copy
-
-        silent = copy.copy(model)
         contact = np.flatnonzero(model.sensor_type == _CONTACT)
-        silent.sensor_type[contact] = mujoco.mjtSensor.mjSENS_USER
-        self._model = mjx.put_model(silent, impl="jax")
+        silent = copy.copy(model)  # put_model refuses types it does not know, step skips them
+        silent.sensor_type[contact] = mujoco.mjtSensor.mjSENS_CLOCK
+        skipped = np.where(model.sensor_type == _CONTACT, mujoco.mjtSensor.mjSENS_USER, model.sensor_type)
+        self._model = mjx.put_model(silent, impl="jax").replace(sensor_type=skipped)
         self._template = mjx.make_data(silent, impl="jax")
         self._contact_sensors = [
             (int(model.sensor_adr[i]), self._geoms(i, "obj"), self._geoms(i, "ref")) for i in contact
@@ -189,18 +193,18 @@ class MjxEngine(_MjxBase):
     def _data(self, num_envs: int) -> mjx.Data:
         return self._template
 
-    def _geoms(self, sensor: int, side: str) -> np.ndarray:
+    def _geoms(self, sensor: int, side: str) -> jax.Array:
         """Mask [ngeom] of the geoms that one side of a contact sensor matches."""
         m = self.model
         kind, root = getattr(m, f"sensor_{side}type")[sensor], getattr(m, f"sensor_{side}id")[sensor]
         if kind == mujoco.mjtObj.mjOBJ_GEOM:
-            return np.arange(m.ngeom) == root
+            return jnp.arange(m.ngeom) == root
         if kind == mujoco.mjtObj.mjOBJ_BODY:
-            return m.geom_bodyid == root
+            return jnp.asarray(m.geom_bodyid == root)
         inside = np.zeros(m.nbody, bool)  # a subtree: mjOBJ_XBODY
         for body in range(m.nbody):
             inside[body] = body == root or (body > 0 and inside[m.body_parentid[body]])
-        return inside[m.geom_bodyid]
+        return jnp.asarray(inside[m.geom_bodyid])
 
     def _read(self, d):
         sensordata = d.sensordata
@@ -210,9 +214,8 @@ class MjxEngine(_MjxBase):
             touching = (contact.dist[ids] < contact.includemargin[ids])[:, None]
             # The contact frame's rows are its axes, so this is the force on geom 2 in world axes.
             force = jnp.einsum("ci,cij->cj", force[:, :3], contact.frame[ids]) * touching
-            geom = np.asarray(contact.geom)[ids]
+            geom1, geom2 = contact.geom[ids].T
             for adr, first, second in self._contact_sensors:
-                sign = (first[geom[:, 0]] & second[geom[:, 1]]) * 1.0
-                sign -= (second[geom[:, 0]] & first[geom[:, 1]]) * 1.0
+                sign = (first[geom1] & second[geom2]) * 1.0 - (second[geom1] & first[geom2]) * 1.0
                 sensordata = sensordata.at[adr : adr + 3].set(sign @ force)
         return sensordata, jnp.int32(0)

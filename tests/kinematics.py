@@ -1,0 +1,57 @@
+"""Inverse kinematics in NumPy on MuJoCo's C library, independent of the package's own code."""
+
+import mujoco
+import numpy as np
+
+from assistax import scenes
+
+
+def solve(model, point, seed=0, restarts=12, tolerance=2e-3, accept=lambda data: True):
+    """Robot joint angles within limits that put `tool_tip` at point [3], the person at rest; None if none found.
+
+    Damped least squares from the ready pose, then from random poses. `accept(data)` may turn a pose down.
+    """
+    data = mujoco.MjData(model)
+    ids = scenes.qpos_ids(model, scenes.ROBOT_JOINTS)
+    low, high = model.jnt_range[[model.joint(j).id for j in scenes.ROBOT_JOINTS]].T
+    rng = np.random.default_rng(seed)
+    site = model.site("tool_tip").id
+    jac = np.zeros((3, model.nv))
+    for attempt in range(restarts):
+        mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+        if attempt:
+            spread = 0.4 + 0.1 * attempt
+            data.qpos[ids] = np.clip(data.qpos[ids] + rng.uniform(-spread, spread, 7), low, high)
+        for _ in range(150):
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            error = point - data.site_xpos[site]
+            if np.linalg.norm(error) < tolerance:
+                mujoco.mj_forward(model, data)
+                if accept(data):
+                    return data.qpos.copy()
+                break
+            mujoco.mj_jacSite(model, data, jac, None, site)
+            j = jac[:, ids]
+            step = j.T @ np.linalg.solve(j @ j.T + 1e-4 * np.eye(3), error)
+            data.qpos[ids] = np.clip(data.qpos[ids] + np.clip(step, -0.2, 0.2), low, high)
+    return None
+
+
+def touching_pose(model, body="right_forearm", depth=0.004):
+    """A pose [nq] in which the tool presses on the middle of an arm segment."""
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
+    mujoco.mj_kinematics(model, data)
+    geom = model.geom(body).id
+    centre, radius = data.geom_xpos[geom], model.geom_size[geom, 0]
+    away = centre - data.body("torso").xpos
+    away[2] = np.linalg.norm(away[:2])
+    axis = data.geom_xmat[geom].reshape(3, 3)[:, 2]
+    away -= axis * (axis @ away)
+    tool = model.geom_bodyid == model.body("tool").id
+    reach = model.geom_size[np.flatnonzero(tool)[0], 0]
+    point = centre + away / np.linalg.norm(away) * (radius + reach - depth)
+    pose = solve(model, point, tolerance=1e-4)
+    assert pose is not None
+    return pose

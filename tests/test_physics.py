@@ -1,0 +1,176 @@
+"""The three engines: against MuJoCo, against each other, and when things go wrong."""
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from kinematics import touching_pose
+
+from assistax import scenes
+from assistax.errors import SimulationError
+from assistax.physics import check_faults, make_engine
+from assistax.physics.engine import OVERFLOW, UNSTABLE
+
+
+@pytest.fixture(scope="module")
+def model():
+    return scenes.build(scenes.SCENES["scratch"], visuals=False).compile()
+
+
+@pytest.fixture(scope="module")
+def engine(model):
+    return make_engine("mujoco", model)
+
+
+@pytest.fixture(scope="module")
+def pressing(model):
+    """(qpos [2, nq], ctrl [50, 2, nu]): the tool presses on either arm segment with 8 N and a little wavering."""
+    poses = [touching_pose(model, body) for body in ("right_forearm", "right_upper_arm")]
+    rng = np.random.default_rng(0)
+    robot = model.nu - 7
+    ctrl = rng.uniform(-0.2, 0.2, (50, 2, model.nu))
+    data, jac = mujoco.MjData(model), np.zeros((3, model.nv))
+    ids = scenes.qpos_ids(model, scenes.ROBOT_JOINTS)
+    for i, pose in enumerate(poses):
+        data.qpos = pose
+        mujoco.mj_forward(model, data)
+        mujoco.mj_jacSite(model, data, jac, None, model.site("tool_tip").id)
+        body = data.body(("right_forearm", "right_upper_arm")[i])
+        inward = data.geom_xpos[model.geom(body.name).id] - data.site("tool_tip").xpos
+        ctrl[:, i, robot:] += 8.0 * jac[:, ids].T @ inward / np.linalg.norm(inward)
+    return jnp.asarray(np.array(poses), jnp.float32), jnp.asarray(ctrl, jnp.float32)
+
+
+def run(engine, qpos, ctrl):
+    """qpos and sensordata [T, n, ...] of an open-loop run; the last state."""
+    state = jax.jit(jax.vmap(engine.init))(qpos, jnp.zeros_like(qpos))
+    first = state.sensordata
+
+    def step(state, ctrl):
+        state = jax.vmap(engine.step)(state, ctrl)
+        return state, (state.qpos, state.sensordata)
+
+    state, out = jax.jit(lambda s, c: jax.lax.scan(step, s, c))(state, ctrl)
+    return first, *map(np.asarray, out), state
+
+
+def forces(model, sensordata):
+    place = scenes.sensor_slices(model)
+    return np.stack([np.linalg.norm(sensordata[..., place[n]], axis=-1) for n in ("tool_force", "robot_force")], -1)
+
+
+def test_c_engine_is_mujoco_to_the_bit(model, engine, pressing):
+    qpos, ctrl = pressing
+    _, got_qpos, got_sensors, _ = run(engine, qpos, ctrl[:5])
+    for env in range(2):
+        data = mujoco.MjData(model)
+        data.qpos = qpos[env]
+        mujoco.mj_forward(model, data)
+        for t in range(5):
+            # The state travels as float32 between control steps.
+            for name in ("qpos", "qvel", "qacc_warmstart"):
+                setattr(data, name, getattr(data, name).astype(np.float32))
+            data.ctrl = ctrl[t, env]
+            for _ in range(4):
+                mujoco.mj_step(model, data)
+            np.testing.assert_array_equal(got_qpos[t, env], data.qpos.astype(np.float32))
+            np.testing.assert_array_equal(got_sensors[t, env], data.sensordata.astype(np.float32))
+
+
+def test_warp_agrees_with_c_over_50_steps_in_contact(model, engine, pressing):
+    first_c, qpos_c, sensors_c, _ = run(engine, *pressing)
+    first_w, qpos_w, sensors_w, state = run(make_engine("warp", model), *pressing)
+    force_c, force_w = forces(model, sensors_c), forces(model, sensors_w)
+    assert (force_c[..., 0] > 0.5).mean() > 0.3  # the tool does touch
+    np.testing.assert_allclose(first_w, first_c, atol=2e-3 * np.abs(first_c).max())
+    np.testing.assert_allclose(qpos_w, qpos_c, atol=1e-3)
+    np.testing.assert_allclose(force_w, force_c, atol=0.05 * force_c.max())
+    check_faults(state.fault, "warp")
+
+
+def test_mjx_agrees_with_c_over_a_few_steps_in_contact(model, engine, pressing):
+    qpos, ctrl = pressing
+    first_c, qpos_c, sensors_c, _ = run(engine, qpos, ctrl[:3])
+    first_j, qpos_j, sensors_j, _ = run(make_engine("mjx", model), qpos, ctrl[:3])
+    force_c, force_j = forces(model, sensors_c), forces(model, sensors_j)
+    assert (force_c > 0.5).any()
+    np.testing.assert_allclose(first_j, first_c, atol=2e-3 * np.abs(first_c).max())
+    np.testing.assert_allclose(qpos_j, qpos_c, atol=1e-3)
+    np.testing.assert_allclose(force_j, force_c, atol=0.05 * force_c.max())
+
+
+@pytest.mark.parametrize("name", ["mujoco", "warp", "mjx"])
+def test_joint_limits_and_strength_per_environment(model, name):
+    """The same model, actions and start; one person is strong, one weak, one cannot bend the elbow."""
+    engine = make_engine(name, model, substeps=1 if name == "mjx" else 4)
+    steps = 3 if name == "mjx" else 40
+    start = jnp.asarray(model.key("start").qpos, jnp.float32)
+    elbow = model.joint("right_elbow").id
+    q = int(model.jnt_qposadr[elbow])
+    gain = np.tile(model.actuator_gainprm, (3, 1, 1)).astype(np.float32)
+    gain[1, :, 0] = 0.0
+    ranges = np.tile(model.jnt_range, (3, 1, 1)).astype(np.float32)
+    ranges[2, elbow] = start[q] - 0.01, start[q] + 0.01
+    overrides = {"actuator_gainprm": jnp.asarray(gain), "jnt_range": jnp.asarray(ranges)}
+    ctrl = jnp.zeros(model.nu).at[model.actuator("right_elbow").id].set(1.0)
+    state = jax.jit(jax.vmap(engine.init, (None, None, 0)))(start, jnp.zeros(model.nv), overrides)
+    state = jax.jit(lambda s: jax.lax.fori_loop(0, steps, lambda _, s: jax.vmap(engine.step, (0, None))(s, ctrl), s))(
+        state
+    )
+    bent = np.abs(np.asarray(state.qpos[:, q]) - float(start[q]))
+    if name == "mjx":  # too short for the limit to matter
+        assert bent[0] > 20 * bent[1]
+    else:
+        assert bent[0] > 0.3 and bent[1] < 0.02 and bent[2] < 0.1
+
+
+def test_reinit_touches_only_the_masked(model, engine, pressing):
+    for candidate in (engine, make_engine("warp", model)):
+        qpos, ctrl = (jnp.tile(x, (1,) * (x.ndim - 2) + (20, 1)) for x in pressing)
+        step = jax.jit(jax.vmap(candidate.step))
+        state = step(jax.jit(jax.vmap(candidate.init))(qpos, 0 * qpos), ctrl[0])
+        mask = jnp.arange(40) % 7 == 3
+        fresh = jax.vmap(candidate.init)(qpos + 0.01, 0 * qpos)
+        after = jax.jit(jax.vmap(candidate.reinit, (0, 0, 0, 0, None)))(state, mask, qpos + 0.01, 0 * qpos, {})
+        for name in ("qpos", "qvel", "qacc_warmstart", "sensordata", "fault"):
+            old, new, got = (np.asarray(getattr(s, name)) for s in (state, fresh, after))
+            np.testing.assert_array_equal(got[~mask], old[~mask])
+            np.testing.assert_allclose(got[mask], new[mask], rtol=1e-4, atol=1e-2 * np.abs(new).max())
+
+
+def test_nested_vmap_equals_flat_in_every_engine(model, engine, pressing):
+    qpos, ctrl = pressing
+    for candidate in (engine, make_engine("warp", model)):
+        state = jax.vmap(candidate.init)(qpos, 0 * qpos)
+        flat = jax.jit(jax.vmap(candidate.step))(state, ctrl[0])
+        fold = lambda tree: jax.tree.map(lambda x: x[:, None], tree)  # noqa: E731
+        nested = jax.jit(jax.vmap(jax.vmap(candidate.step)))(fold(state), fold(ctrl[0]))
+        np.testing.assert_allclose(nested.qpos[:, 0], flat.qpos, atol=1e-6)
+
+
+def test_lost_contacts_are_an_error_that_names_the_setting(model, pressing):
+    qpos, _ = pressing
+    tight = make_engine("warp", model, contacts_per_env=1)
+    state = jax.vmap(tight.init)(qpos, 0 * qpos)
+    assert (np.asarray(state.fault) & OVERFLOW).any()
+    with pytest.raises(SimulationError, match="contacts_per_env"):
+        check_faults(state.fault, "warp")
+    spec = scenes.build(scenes.SCENES["scratch"], visuals=False)
+    spec.memory = 20_000
+    small = make_engine("mujoco", spec.compile())
+    state = jax.vmap(small.init)(qpos, 0 * qpos)
+    with pytest.raises(SimulationError, match="memory"):
+        check_faults(state.fault, "mujoco")
+
+
+@pytest.mark.parametrize("name", ["mujoco", "warp"])
+def test_a_state_that_is_not_finite_is_an_error(model, name):
+    engine = make_engine(name, model)
+    start = jnp.asarray(model.key("start").qpos, jnp.float32)
+    state = jax.vmap(engine.init)(jnp.stack([start, start]), jnp.zeros((2, model.nv)))
+    ctrl = jnp.zeros((2, model.nu)).at[1, -1].set(jnp.nan)
+    fault = np.asarray(jax.jit(jax.vmap(engine.step))(state, ctrl).fault)
+    assert fault[0] == 0 and fault[1] & UNSTABLE
+    with pytest.raises(SimulationError, match="non-finite in 1 of 2"):
+        check_faults(fault, name)
