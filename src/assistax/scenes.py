@@ -8,12 +8,18 @@ Which geoms touch (contype / conaffinity; two geoms touch if either's type is in
 
     class                                     contype  conaffinity   touches
     robot: tool, mount, hand, links 5-7          1          0        arms, trunk, furniture
-    person's arms and hands                      2          1        robot, trunk, furniture
-    person's head, trunk, waist, pelvis, thighs  4          3        robot, arms, furniture
-    furniture's main boxes                       0          7        robot, arms, trunk
+    person's right arm and hand                  2          1        robot, trunk, seat, back rest, supports
+    person's left arm and hand (never driven)    8          1        robot, supports
+    person's head, trunk, pelvis, thighs         0          3        robot, right arm
+    chair's seat and back rest                   0          3        robot, right arm
+    supports: armrests, mattress                 0         11        robot, arms
+    chair's base and headrest, pillow            0          1        robot
 
 So the robot never touches itself, one arm never the other, and nothing touches the floor. A body and its
 parent never touch in MuJoCo (upper arm and torso overlap at the shoulder by construction).
+
+The trunk leans on the back rest (lies on the mattress) by the lower limit of its joint, which costs one
+constraint row instead of the eight of two box contacts.
 
 Units: m, kg, s, rad, N, N m. World frame: z up.
 """
@@ -143,6 +149,11 @@ def build(config: SceneConfig, visuals: bool = True) -> mujoco.MjSpec:
     if not visuals:
         for geom in [g for g in spec.geoms if not (g.contype or g.conaffinity) and g.mass == 0]:
             spec.delete(geom)
+        spec.compiler.fusestatic = True
+    if config.control == "torque":
+        # Joint damping is mild enough to be explicit, which saves a factorisation per step; the servo's is not.
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
     posture = POSTURES[config.posture]
     _pose_human(spec, posture)
     for body in spec.body("robot").find_all("body"):
@@ -189,6 +200,8 @@ def _pose_human(spec, posture):
         spec.body(f"{side}_shin").quat = _turn("y", posture.knee)
     for name, angle in zip(HUMAN_JOINTS, posture.spring, strict=True):
         spec.joint(name).springref = angle
+    trunk = spec.joint("trunk_pitch")  # nobody leans into the back rest
+    trunk.range = (posture.rest[HUMAN_JOINTS.index("trunk_pitch")], trunk.range[1])
 
 
 def _add_actuators(spec, config):

@@ -18,7 +18,7 @@ from assistax.physics.engine import OVERFLOW, UNSTABLE, Overrides, PhysicsState
 
 _STATE = ("qpos", "qvel", "qacc_warmstart")
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
-_BAD = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{x}")) for x in ("QPOS", "QVEL", "QACC")]
+_BAD = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{x}")) for x in ("QPOS", "QVEL", "QACC", "CTRL")]
 
 
 class MujocoEngine:
@@ -86,11 +86,11 @@ class MujocoEngine:
             batch = self._batch(lead, overrides)
             for name, value in zip((*_STATE, "ctrl"), (*rows, ctrl), strict=True):
                 setattr(batch, name, value.reshape(batch.nsim, -1))
-            batch.warning[:] = 0
+            before = batch.warning[..., 1].copy()
             batch.step(nstep=self.substeps)
             new = [getattr(batch, name) for name in (*_STATE, "sensordata")]
             out = [x.astype(np.float32).reshape(*lead, x.shape[-1]) for x in new]
-            return *out, self._faults(batch).reshape(lead)
+            return *out, self._faults(batch, before).reshape(lead)
 
     def _host_reinit(self, args, overrides):
         mask, *rows, qpos, qvel, warmstart, sensordata, fault = (np.asarray(a) for a in args)
@@ -104,19 +104,16 @@ class MujocoEngine:
             for name, value in zip(_STATE, rows, strict=True):
                 getattr(batch, name)[ids] = value.reshape(mask.size, -1)[ids]
             batch.bind("ctrl")[ids] = 0.0
-            batch.warning[:] = 0
+            before = batch.warning[..., 1].copy()
             batch.forward(ids)
             for x, name in zip(out[:4], (*_STATE, "sensordata"), strict=True):
                 x[ids] = getattr(batch, name)[ids]
-            out[4][ids, 0] = self._faults(batch)[ids]
+            out[4][ids, 0] = self._faults(batch, before)[ids]
         return *(x.reshape(*lead, -1) for x in out[:4]), out[4].reshape(lead)
 
     @staticmethod
-    def _faults(batch: Batch) -> np.ndarray:
-        unstable = ~np.isfinite(batch.qpos).all(1)
-        for bit in _BAD:
-            unstable |= batch.warning[:, bit, 1] > 0
-        overflow = np.zeros_like(unstable)
-        for bit in _FULL:
-            overflow |= batch.warning[:, bit, 1] > 0
-        return (UNSTABLE * unstable + OVERFLOW * overflow).astype(np.int32)
+    def _faults(batch: Batch, before: np.ndarray) -> np.ndarray:
+        """Fault bits [n], from MuJoCo's warning counters now and before the call."""
+        warned = batch.warning[..., 1] > before
+        unstable = warned[:, _BAD].any(1) | ~np.isfinite(batch.qpos).all(1)
+        return (UNSTABLE * unstable + OVERFLOW * warned[:, _FULL].any(1)).astype(np.int32)

@@ -27,8 +27,8 @@ class ScratchConfig:
     scratch_scale: float = 4.0
     # Where an itch can be: between these fractions of the segment's half-length, and within this
     # angle of the side that faces away from the trunk; the rest is out of the robot's reach.
-    height: tuple[float, float] = (-1.0, 1.0)
-    angle: float = 1.2  # rad
+    height: tuple[float, float] = (-0.8, 0.8)
+    angle: float = 1.0  # rad
     # What counts as scratching, and for how long it must last to be a success.
     scratch_force: tuple[float, float] = (1.0, 6.0)  # N
     scratch_speed: tuple[float, float] = (0.03, 0.3)  # m/s
