@@ -135,7 +135,10 @@ def test_reward_terms_equal_the_papers_formulas_in_float64(scratch):
         np.testing.assert_allclose(rewards["robot"], sum(info["reward_terms"].values()), rtol=1e-6)
         np.testing.assert_array_equal(rewards["robot"], rewards["human"])
         np.testing.assert_allclose(
-            info["force"], np.linalg.norm(contact_force(env.model, data, tool_only=False)), rtol=2e-3, atol=1e-3
+            info["force"],
+            np.linalg.norm(contact_force(env.model, data, tool_only=False)),
+            rtol=2e-3,
+            atol=1e-3,
         )
     assert active > 0.01
 
@@ -264,7 +267,9 @@ def test_a_still_person_stays_at_rest(scratch):
     _, state = env.reset(jax.random.key(0))
     still = {agent: jnp.zeros(n) for agent, n in env.action_sizes.items()}
     start = env.sensors(state.physics)
-    state, _ = jax.jit(lambda s: jax.lax.scan(lambda s, _: (env.step_env(s, still)[0], None), s, None, 1000))(state)
+    state, _ = jax.jit(lambda s: jax.lax.scan(lambda s, _: (env.step_env(s, still)[0], None), s, None, 1000))(
+        state
+    )
     end = env.sensors(state.physics)
     for name in ("forearm_pos", "upper_arm_pos", "mouth_pos"):
         assert np.linalg.norm(end[name] - start[name]) < 0.01

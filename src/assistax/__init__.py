@@ -1,7 +1,7 @@
 """Assistax: a robot arm and a person, both with policies of their own, and tasks to do together.
 
-    import assistax
-    env = assistax.make("scratch")
+import assistax
+env = assistax.make("scratch")
 """
 
 from typing import TYPE_CHECKING

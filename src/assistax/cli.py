@@ -58,10 +58,18 @@ def train(
     from assistax.runs import Run, configure
 
     if resume is not None:
-        given = {"task": task, "algorithm": algorithm, "num_envs": num_envs, "seed": seed, "num_seeds": num_seeds}
+        given = {
+            "task": task,
+            "algorithm": algorithm,
+            "num_envs": num_envs,
+            "seed": seed,
+            "num_seeds": num_seeds,
+        }
         given |= {"engine": engine, "preset": preset, "out": out, "set": set or None}
         if extra := [name.replace("_", "-") for name, value in given.items() if value is not None]:
-            raise UsageError(f"--resume takes everything but --steps from the run; leave out {', '.join(extra)}.")
+            raise UsageError(
+                f"--resume takes everything but --steps from the run; leave out {', '.join(extra)}."
+            )
         run = Run.open(resume, steps=steps)
     else:
         if task is None:
@@ -154,7 +162,16 @@ def render(
         raise UsageError(f"The folder {path.parent} of --out does not exist.")
     result = play(env, teams[0], 1, EVALUATION_SEED if seed is None else seed)
     on = result["playing"][0]
-    film(env.name, result["qpos"][0][on], result["marker"][0][on], env.dt, path, width=width, height=height, view=view)
+    film(
+        env.name,
+        result["qpos"][0][on],
+        result["marker"][0][on],
+        env.dt,
+        path,
+        width=width,
+        height=height,
+        view=view,
+    )
     print(f"wrote {path}")
 
 
@@ -260,8 +277,7 @@ def _teams(target: str, policy: str | None, engine: str | None):
             raise UsageError(f"Say who plays {target}: --policy still or random, or give a run folder.")
         raise UsageError(f"{target!r} is neither a run folder nor a task ({', '.join(TASKS)}) with --policy.")
     run = Run.open(Path(target), engine=engine)
-    teams = [run.team(seed=seed) for seed in range(run.config.num_seeds)]
-    return run.env, teams, {"task": run.config.task, "run": target}
+    return run.env, run.teams(), {"task": run.config.task, "run": target}
 
 
 def _free_folder(name: str) -> Path:

@@ -1,9 +1,9 @@
 """Runs: one training, one folder, resumable at any moment.
 
-    config.json           what was asked for
-    metrics.jsonl         one line per iteration and seed
-    checkpoints/          the newest two, each written whole or not at all
-    learning_curve.png    summary.json    rollout.mp4
+config.json           what was asked for
+metrics.jsonl         one line per iteration and seed
+checkpoints/          the newest two, each written whole or not at all
+learning_curve.png    summary.json    rollout.mp4
 """
 
 import dataclasses
@@ -80,7 +80,9 @@ class Run:
     def create(cls, config: TrainConfig, folder: Path) -> "Run":
         """Make the folder; it must be new or empty."""
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise UsageError(f"{folder} is already in use; name another --out, or continue it with --resume {folder}.")
+            raise UsageError(
+                f"{folder} is already in use; name another --out, or continue it with --resume {folder}."
+            )
         run = cls(folder, config)
         try:
             (folder / "checkpoints").mkdir(parents=True)
@@ -148,6 +150,7 @@ class Run:
         """Jit `fn` over the leading axis of seeds that every array of a run has."""
         if self.config.num_seeds > 1:
             return jax.jit(jax.vmap(fn))
+
         # One seed is not worth a batched program, which CPUs run more slowly.
         def single(*args):
             out = fn(*jax.tree.map(lambda x: x[0], args))
@@ -186,7 +189,9 @@ class Run:
         for i in range(self.config.num_seeds):
             one = jax.tree.map(lambda x, i=i: x[i].item(), (log, losses))
             row = {"steps": done * self.steps_per_iteration, "seed": self.config.seed + i}
-            rows.append(row | {"seconds": round(sum(clock.seconds.values()), 3)} | one[0] | {"losses": one[1]})
+            rows.append(
+                row | {"seconds": round(sum(clock.seconds.values()), 3)} | one[0] | {"losses": one[1]}
+            )
         return rows
 
     def _keep_metrics(self, steps: int) -> None:
@@ -215,7 +220,7 @@ class Run:
     def _finish(self, state: TrainState, clock: "Clock") -> dict[str, Any]:
         """Write summary, curve and film of a finished run; returns the summary."""
         config = self.config
-        results = [play(self.env, self.team(state, seed), 64) for seed in range(config.num_seeds)]
+        results = [play(self.env, team, 64) for team in self.teams()]
         each = [summarize(result) for result in results]
         seconds = sum(clock.seconds.values())
         steps = self.iterations * self.steps_per_iteration
@@ -245,20 +250,29 @@ class Run:
     def film(self, result: dict[str, Any], episode: int, path: Path, **camera) -> None:
         """Film one episode of what `evaluation.play` returned."""
         on = result["playing"][episode]
-        film(self.config.task, result["qpos"][episode][on], result["marker"][episode][on], self.env.dt, path, **camera)
+        film(
+            self.config.task,
+            result["qpos"][episode][on],
+            result["marker"][episode][on],
+            self.env.dt,
+            path,
+            **camera,
+        )
 
-    def team(self, state: TrainState | None = None, seed: int = 0, deterministic: bool = True) -> Team:
-        """The trained policies of one seed, by default from the newest checkpoint."""
-        if state is None:
-            if self.newest_checkpoint() is None:
-                raise UsageError(f"{self.folder} has no checkpoint yet.")
-            state, _ = self._start()
+    def teams(self, deterministic: bool = True) -> list[Team]:
+        """The trained policies of each seed, from the newest checkpoint."""
+        path = self.newest_checkpoint()
+        if path is None:
+            raise UsageError(f"{self.folder} has no checkpoint yet.")
+        like = jax.eval_shape(self._over_seeds(self.trainer.init), self._seed_keys())
+        params = load_checkpoint(path, like.params, ".params")
+        normalizer = load_checkpoint(path, like.normalizer, ".normalizer")
         policy = Actor(self.config.ppo.activation, self.config.ppo.normalize_obs, deterministic)
-        one = jax.tree.map(lambda x: x[seed], (state.params, state.normalizer))
-        return {
-            agent: (policy, {"actor": one[0][agent]["actor"], "normalizer": one[1][agent]})
-            for agent in self.env.agents
-        }
+        parts = {a: {"actor": params[a]["actor"], "normalizer": normalizer[a]} for a in self.env.agents}
+        return [
+            {a: (policy, jax.tree.map(lambda x, i=i: x[i], part)) for a, part in parts.items()}
+            for i in range(self.config.num_seeds)
+        ]
 
 
 def typical(result: dict[str, Any]) -> int:

@@ -36,7 +36,10 @@ def capsule(model: mujoco.MjModel, body: str) -> Capsule:
     axis = np.zeros(9)
     mujoco.mju_quat2Mat(axis, model.geom_quat[geom])
     return Capsule(
-        model.geom_pos[geom].copy(), axis.reshape(3, 3)[:, 2], model.geom_size[geom, 1], model.geom_size[geom, 0]
+        model.geom_pos[geom].copy(),
+        axis.reshape(3, 3)[:, 2],
+        model.geom_size[geom, 1],
+        model.geom_size[geom, 0],
     )
 
 

@@ -1,6 +1,7 @@
 """Pictures and films of a scene, and learning curves."""
 
 import dataclasses
+import warnings
 from pathlib import Path
 
 import mujoco
@@ -55,7 +56,8 @@ def film(task: str, qpos: np.ndarray, markers: np.ndarray, dt: float, path: Path
             return
         stride = max(1, round(1 / (FRAMES_PER_SECOND * dt)))
         frames = (cam.picture(q, m) for q, m in zip(qpos[::stride], markers[::stride], strict=True))
-        with iio.imopen(path, "w", plugin="FFMPEG") as video:
+        with warnings.catch_warnings(), iio.imopen(path, "w", plugin="FFMPEG") as video:
+            warnings.filterwarnings("ignore", message=r"os\.fork")  # ffmpeg is not Python; JAX cannot know
             video.write(list(frames), fps=FRAMES_PER_SECOND, macro_block_size=1)
 
 
@@ -73,11 +75,15 @@ def learning_curve(rows: list[dict], title: str, path: Path) -> None:
         ended = [row for row in mine if row["episodes"]]
         label = f"seed {seed}"
         for axis, name in ((axes[0], "return"), (axes[2], "success")):
-            axis.plot([r["steps"] / 1e6 for r in ended], [r["episode"][name] for r in ended], label=label, lw=1.2)
+            axis.plot(
+                [r["steps"] / 1e6 for r in ended], [r["episode"][name] for r in ended], label=label, lw=1.2
+            )
         for i, term in enumerate(terms):
             x, y = [r["steps"] / 1e6 for r in mine], [1000 * r["reward"][term] for r in mine]
-            axes[1].plot(x, y, color=f"C{i}", label=term if mine is not None and seed == rows[0]["seed"] else None, lw=1.2)
-    for axis, name in zip(axes, ("return per episode", "reward per 1000 steps, by term", "success rate"), strict=True):
+            axes[1].plot(x, y, color=f"C{i}", label=term if seed == rows[0]["seed"] else None, lw=1.2)
+    for axis, name in zip(
+        axes, ("return per episode", "reward per 1000 steps, by term", "success rate"), strict=True
+    ):
         axis.set(xlabel="million env steps", title=name)
         axis.grid(alpha=0.3)
         axis.legend(frameon=False, fontsize=8)

@@ -43,19 +43,25 @@ def read_metadata(path: Path) -> dict[str, Any]:
     return json.loads(header["about"])
 
 
-def load_checkpoint(path: Path, like: Any) -> Any:
-    """The pytree in a checkpoint, which must have the names, shapes and types of `like`."""
+def load_checkpoint(path: Path, like: Any, part: str = "") -> Any:
+    """The pytree in a checkpoint, which must have the names and shapes of `like`.
+
+    With `part` (".params") only what is stored under that name; `like` is then that part.
+    """
     read_metadata(path)
     leaves = []
     with safe_open(path, "numpy") as file:
         stored = set(file.keys())
         wanted = _named(like)
         for name, leaf in wanted:
+            name = part + name
             if name not in stored:
                 raise UsageError(f"{path} does not fit this configuration: it has no {name}.")
             value, shape = file.get_tensor(name), _shape(leaf)
             if value.shape != shape:
-                raise UsageError(f"{path} does not fit this configuration: {name} is {value.shape}, not {shape}.")
+                raise UsageError(
+                    f"{path} does not fit this configuration: {name} is {value.shape}, not {shape}."
+                )
             leaves.append(jax.random.wrap_key_data(value) if _is_key(leaf) else jax.numpy.asarray(value))
     return jax.tree.unflatten(jax.tree.structure(like), leaves)
 

@@ -67,7 +67,7 @@ def check_faults(fault, engine_name: str) -> None:
     if overflow:
         setting = {
             "warp": "raise contacts_per_env or constraints_per_env (env.contacts_per_env=...)",
-            "mujoco": "raise the scene's memory (SceneConfig.memory)",
+            "mujoco": "raise the scene's memory (MjSpec.memory)",
         }.get(engine_name, "reduce the number of geoms that can touch")
         raise SimulationError(
             f"The {engine_name} engine dropped contacts in {overflow} of {fault.size} environments: {setting}."

@@ -17,7 +17,7 @@ from assistax.physics.engine import OVERFLOW, UNSTABLE, Overrides, PhysicsState
 try:
     import warp
 
-    warp.config.quiet = True  # no banner
+    warp.config.log_level = warp.LOG_ERROR  # no banner, no line per kernel
 except ImportError:
     warp = None
 
@@ -160,11 +160,10 @@ class WarpEngine(_MjxBase):
             )
 
     def _read(self, d):
-        from mujoco.mjx.third_party.mujoco_warp import OverflowType as Bit
-
-        lost = Bit.NEFC | Bit.NJMAX_NNZ | Bit.BROADPHASE | Bit.NARROWPHASE | Bit.CCD | Bit.CONTACT_MATCH
-        overflow = jnp.reshape(d._impl.overflow, ()) & int(lost)
-        return d.sensordata, jnp.where(overflow != 0, OVERFLOW, 0).astype(jnp.int32)
+        # The counters go on counting what found no room; the contact buffer is shared by the batch.
+        wanted = jnp.maximum(jnp.max(d._impl.nacon), jnp.max(d._impl.ncollision))
+        lost = (wanted > d._impl.naconmax) | (jnp.max(d._impl.nefc) > self._constraints)
+        return d.sensordata, jnp.where(lost, OVERFLOW, 0).astype(jnp.int32)
 
 
 class MjxEngine(_MjxBase):

@@ -6,13 +6,14 @@ calls: the same arguments give the same bits, at any number of threads.
 """
 
 import threading
+from collections.abc import Callable
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from mujoco.batch import Batch
+from mujoco.batch import Batch, SimulationError
 
 from assistax.physics.engine import OVERFLOW, UNSTABLE, Overrides, PhysicsState
 
@@ -86,11 +87,10 @@ class MujocoEngine:
             batch = self._batch(lead, overrides)
             for name, value in zip((*_STATE, "ctrl"), (*rows, ctrl), strict=True):
                 setattr(batch, name, value.reshape(batch.nsim, -1))
-            before = batch.warning[..., 1].copy()
-            batch.step(nstep=self.substeps)
+            faults = self._watch(batch, lambda: batch.step(nstep=self.substeps))
             new = [getattr(batch, name) for name in (*_STATE, "sensordata")]
             out = [x.astype(np.float32).reshape(*lead, x.shape[-1]) for x in new]
-            return *out, self._faults(batch, before).reshape(lead)
+            return *out, faults.reshape(lead)
 
     def _host_reinit(self, args, overrides):
         mask, *rows, qpos, qvel, warmstart, sensordata, fault = (np.asarray(a) for a in args)
@@ -104,16 +104,21 @@ class MujocoEngine:
             for name, value in zip(_STATE, rows, strict=True):
                 getattr(batch, name)[ids] = value.reshape(mask.size, -1)[ids]
             batch.bind("ctrl")[ids] = 0.0
-            before = batch.warning[..., 1].copy()
-            batch.forward(ids)
+            faults = self._watch(batch, lambda: batch.forward(ids))
             for x, name in zip(out[:4], (*_STATE, "sensordata"), strict=True):
                 x[ids] = getattr(batch, name)[ids]
-            out[4][ids, 0] = self._faults(batch, before)[ids]
+            out[4][ids, 0] = faults[ids]
         return *(x.reshape(*lead, -1) for x in out[:4]), out[4].reshape(lead)
 
     @staticmethod
-    def _faults(batch: Batch, before: np.ndarray) -> np.ndarray:
-        """Fault bits [n], from MuJoCo's warning counters now and before the call."""
+    def _watch(batch: Batch, call: Callable[[], None]) -> np.ndarray:
+        """Make the call; fault bits [n] from the errors and warnings it caused."""
+        before = batch.warning[..., 1].copy()
+        failed = np.zeros(batch.nsim, bool)
+        try:
+            call()
+        except SimulationError:  # out of memory for contacts; these keep the state they had
+            failed = batch.status != 0
         warned = batch.warning[..., 1] > before
         unstable = warned[:, _BAD].any(1) | ~np.isfinite(batch.qpos).all(1)
-        return (UNSTABLE * unstable + OVERFLOW * warned[:, _FULL].any(1)).astype(np.int32)
+        return (UNSTABLE * unstable + OVERFLOW * (failed | warned[:, _FULL].any(1))).astype(np.int32)

@@ -1,0 +1,221 @@
+"""The command line as a user meets it: good runs, bad input, interruptions."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SMALL = ["--num-envs", "8", "--set", "ppo.num_steps=8", "ppo.num_minibatches=2", "ppo.update_epochs=1"]
+SMALL += ["env.episode_length=16", "ppo.hidden=(8,8)"]
+
+
+def assistax(*args, check=True, cwd=None):
+    command = [sys.executable, "-m", "assistax.cli", *map(str, args)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False)
+    if check:
+        assert done.returncode == 0, done.stderr
+    return done
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    """A finished run of 640 steps."""
+    folder = tmp_path_factory.mktemp("runs") / "small"
+    assistax("train", "scratch", "--steps", 640, "--out", folder, *SMALL)
+    return folder
+
+
+def checkpoint(folder):
+    return max((folder / "checkpoints").glob("*.safetensors"))
+
+
+def test_a_run_folder_holds_what_it_promises(run):
+    summary = json.loads((run / "summary.json").read_text())
+    wanted = {"task", "algorithm", "preset", "steps", "seeds", "success_rate", "mean_return"}
+    assert wanted | {"env_steps_per_s", "hardware", "versions", "commit"} <= set(summary)
+    assert summary["steps"] == 640 and summary["task"] == "scratch"
+    rows = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
+    assert [row["steps"] for row in rows] == [64 * i for i in range(1, 11)]
+    for name in ("learning_curve.png", "rollout.mp4", "config.json"):
+        assert (run / name).stat().st_size > 500
+
+
+def test_evaluate_as_json(run):
+    report = json.loads(assistax("evaluate", run, "--episodes", 8, "--json").stdout)
+    assert {"mean_return", "return_ci", "terms", "success_rate", "episodes", "force"} <= set(report)
+    assert report["episodes"] == 8
+    np.testing.assert_allclose(report["mean_return"], sum(report["terms"].values()), rtol=1e-4)
+    low, high = report["return_ci"]
+    assert low <= report["mean_return"] <= high
+
+
+def test_resume_equals_uninterrupted_training_to_the_bit(run, tmp_path):
+    part = tmp_path / "part"
+    assistax("train", "scratch", "--steps", 320, "--out", part, *SMALL)
+    assistax("train", "--resume", part, "--steps", 640)
+    assert checkpoint(part).read_bytes()[-50_000:] == checkpoint(run).read_bytes()[-50_000:]
+
+    def numbers(folder):
+        rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+        return [{k: v for k, v in row.items() if k != "seconds"} for row in rows]
+
+    assert numbers(part) == numbers(run)
+
+
+def test_several_seeds_are_the_runs_of_each_seed_alone(run, tmp_path):
+    both = tmp_path / "both"
+    assistax("train", "scratch", "--steps", 128, "--num-seeds", 2, "--out", both, *SMALL)
+    rows = [json.loads(line) for line in (both / "metrics.jsonl").read_text().splitlines()]
+    alone = json.loads((run / "metrics.jsonl").read_text().splitlines()[0])
+    assert [row["seed"] for row in rows] == [0, 1, 0, 1]
+    np.testing.assert_allclose(rows[0]["reward"]["reach"], alone["reward"]["reach"], rtol=1e-3)
+    assert rows[0]["reward"] != rows[1]["reward"]
+
+
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+def test_an_interrupted_run_goes_on(how, tmp_path):
+    folder = tmp_path / "run"
+    command = [
+        sys.executable,
+        "-m",
+        "assistax.cli",
+        "train",
+        "scratch",
+        "--steps",
+        "10000000",
+        "--out",
+        folder,
+    ]
+    process = subprocess.Popen(
+        [*map(str, command), *SMALL], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    metrics = folder / "metrics.jsonl"
+    deadline = time.monotonic() + 120
+    while not (metrics.exists() and metrics.stat().st_size > 3000):
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.1)
+    process.send_signal(how)
+    _, errors = process.communicate(timeout=60)
+    if how == signal.SIGINT:
+        assert process.returncode == 130
+        assert f"--resume {folder}" in errors
+        done = int(checkpoint(folder).stem.split("_")[1])
+    else:
+        with open(metrics, "a") as file:
+            file.write('{"steps": 999')  # a line that the kill tore
+        done = 0
+    assistax("train", "--resume", folder, "--steps", done + 128)
+    rows = [json.loads(line) for line in metrics.read_text().splitlines()]
+    assert [row["steps"] for row in rows] == list(range(64, done + 129, 64))
+
+
+@pytest.mark.parametrize(
+    ("args", "words"),
+    [
+        (["train", "scratc"], "Did you mean 'scratch'"),
+        (["train"], "Name a task"),
+        (["train", "scratch", "--engine", "wrap"], "Did you mean 'warp'"),
+        (["train", "scratch", "--algorithm", "ipo"], "Did you mean 'ippo'"),
+        (["train", "scratch", "--preset", "papr"], "Did you mean 'paper'"),
+        (["train", "scratch", "--set", "ppo.learningrate=1"], "Did you mean 'ppo.learning_rate'"),
+        (["train", "scratch", "--set", "ppo.learning_rate"], "NAME=VALUE"),
+        (["train", "scratch", "--set", "ppo.gamma=2"], r"ppo.gamma must be in [0, 1]"),
+        (["train", "scratch", "--num-envs", "0"], "num_envs must be 1 or more"),
+        (["train", "scratch", "--num-envs", "7"], "do not divide"),
+        (["train", "--resume", "nowhere"], "not a run folder"),
+        (["train", "--resume", "x", "--seed", "3"], "leave out seed"),
+        (["evaluate", "scratch"], "--policy"),
+        (["evaluate", "nowhere"], "neither a run folder nor a task"),
+        (["evaluate", "scratch", "--policy", "stil"], "Did you mean 'still'"),
+        (["render", "scratch", "--policy", "still", "--out", "no/such/a.mp4"], "does not exist"),
+        (["render", "scratch", "--policy", "still", "--out", "a.gif"], ".mp4 and .png"),
+        (["bench", "scratch", "--num-envs", "0"], "num_envs must be 1 or more"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing_behind(args, words, tmp_path):
+    done = assistax(*args, check=False, cwd=tmp_path)
+    assert done.returncode == 2
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1 and lines[0].startswith("assistax: ") and words in lines[0]
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_used_folder_is_not_overwritten(run):
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    done = assistax("train", "scratch", "--out", run, *SMALL, check=False)
+    assert done.returncode == 2 and "already in use" in done.stderr
+    assert before == {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_an_unwritable_folder_is_one_line(tmp_path):
+    tmp_path.chmod(0o500)
+    done = assistax("train", "scratch", "--out", tmp_path / "x", check=False)
+    assert done.returncode == 2 and "Cannot write" in done.stderr
+
+
+@pytest.mark.parametrize("damage", ["cut", "foreign", "other shape"])
+def test_a_bad_checkpoint_is_one_line(run, tmp_path, damage):
+    copy = tmp_path / "copy"
+    shutil.copytree(run, copy)
+    path = checkpoint(copy)
+    if damage == "cut":
+        path.write_bytes(path.read_bytes()[:1000])
+    elif damage == "foreign":
+        from safetensors.numpy import save_file
+
+        save_file({"x": np.zeros(3)}, path)
+    else:
+        config = json.loads((copy / "config.json").read_text())
+        config["ppo"]["hidden"] = [16, 16]
+        (copy / "config.json").write_text(json.dumps(config))
+    done = assistax("evaluate", copy, check=False)
+    assert done.returncode == 2
+    assert len(done.stderr.strip().splitlines()) == 1 and Path(path).name in done.stderr
+
+
+def test_tasks_doctor_and_bench_answer(tmp_path):
+    listing = json.loads(assistax("tasks", "--json").stdout)
+    assert listing["scratch"]["observations"] == {"robot": 34, "human": 38, "global": 52}
+    report = json.loads(assistax("doctor", "--json").stdout)
+    assert "mujoco" in report["engine"] and report["self_test"].startswith("ok")
+    speed = json.loads(assistax("bench", "scratch", "--num-envs", 16, "--seconds", 1, "--json").stdout)
+    wanted = {
+        "env_steps_per_s",
+        "engine_steps_per_s",
+        "simulated_seconds_per_s",
+        "compile_s",
+        "peak_memory_mb",
+    }
+    assert wanted | {"engine", "num_envs", "versions", "hardware"} <= set(speed)
+
+
+def test_help_is_instant_and_teaches():
+    began = time.monotonic()
+    text = assistax("train", "--help").stdout
+    assert time.monotonic() - began < 3.0
+    assert "Examples" in text and "--resume" in text
+    imported = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "import assistax.cli, sys; print('jax' in sys.modules, 'mujoco' in sys.modules)",
+        ],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert imported.stdout.split() == ["False", "False"]
+
+
+def test_still_picture(tmp_path):
+    out = tmp_path / "still.png"
+    assistax("render", "scratch", "--policy", "still", "--out", out, "--width", 160, "--height", 120)
+    assert out.stat().st_size > 1000
