@@ -93,9 +93,7 @@ def test_an_interrupted_run_goes_on(how, tmp_path):
         "--out",
         folder,
     ]
-    process = subprocess.Popen(
-        [*map(str, command), *SMALL], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
+    process = subprocess.Popen([*map(str, command), *SMALL], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     metrics = folder / "metrics.jsonl"
     deadline = time.monotonic() + 120
     while not (metrics.exists() and metrics.stat().st_size > 3000):

@@ -267,9 +267,7 @@ def test_a_still_person_stays_at_rest(scratch):
     _, state = env.reset(jax.random.key(0))
     still = {agent: jnp.zeros(n) for agent, n in env.action_sizes.items()}
     start = env.sensors(state.physics)
-    state, _ = jax.jit(lambda s: jax.lax.scan(lambda s, _: (env.step_env(s, still)[0], None), s, None, 1000))(
-        state
-    )
+    state, _ = jax.jit(lambda s: jax.lax.scan(lambda s, _: (env.step_env(s, still)[0], None), s, None, 1000))(state)
     end = env.sensors(state.physics)
     for name in ("forearm_pos", "upper_arm_pos", "mouth_pos"):
         assert np.linalg.norm(end[name] - start[name]) < 0.01

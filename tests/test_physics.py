@@ -59,9 +59,7 @@ def run(engine, qpos, ctrl, overrides=None):
 
 def forces(model, sensordata):
     place = scenes.sensor_slices(model)
-    return np.stack(
-        [np.linalg.norm(sensordata[..., place[n]], axis=-1) for n in ("tool_force", "robot_force")], -1
-    )
+    return np.stack([np.linalg.norm(sensordata[..., place[n]], axis=-1) for n in ("tool_force", "robot_force")], -1)
 
 
 def test_c_engine_is_mujoco_to_the_bit(model, engine, pressing):
@@ -134,9 +132,9 @@ def test_joint_limits_and_strength_per_environment(model, name):
     overrides = {"actuator_gainprm": jnp.asarray(gain), "jnt_range": jnp.asarray(ranges)}
     ctrl = jnp.zeros(model.nu).at[model.actuator("right_elbow").id].set(1.0)
     state = jax.jit(jax.vmap(engine.init, (None, None, 0)))(start, jnp.zeros(model.nv), overrides)
-    state = jax.jit(
-        lambda s: jax.lax.fori_loop(0, 40, lambda _, s: jax.vmap(engine.step, (0, None))(s, ctrl), s)
-    )(state)
+    state = jax.jit(lambda s: jax.lax.fori_loop(0, 40, lambda _, s: jax.vmap(engine.step, (0, None))(s, ctrl), s))(
+        state
+    )
     bent = np.abs(np.asarray(state.qpos[:, q]) - float(start[q]))
     assert bent[0] > 0.3 and bent[1] < 0.02 and bent[2] < 0.1
 
@@ -148,9 +146,7 @@ def test_reinit_touches_only_the_masked(model, engine, pressing):
         state = step(jax.jit(jax.vmap(candidate.init))(qpos, 0 * qpos), ctrl[0])
         mask = jnp.arange(40) % 7 == 3
         fresh = jax.vmap(candidate.init)(qpos + 0.01, 0 * qpos)
-        after = jax.jit(jax.vmap(candidate.reinit, (0, 0, 0, 0, None)))(
-            state, mask, qpos + 0.01, 0 * qpos, {}
-        )
+        after = jax.jit(jax.vmap(candidate.reinit, (0, 0, 0, 0, None)))(state, mask, qpos + 0.01, 0 * qpos, {})
         for name in ("qpos", "qvel", "qacc_warmstart", "sensordata", "fault"):
             old, new, got = (np.asarray(getattr(s, name)) for s in (state, fresh, after))
             np.testing.assert_array_equal(got[~mask], old[~mask])

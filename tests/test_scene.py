@@ -253,9 +253,7 @@ def test_without_visuals_is_the_same_physics(scene):
 
 
 def test_wrong_config_is_refused():
-    base = dict(
-        furniture="wheelchair", posture="seated", tool="scratcher", robot_pos=(0, 0, 0), robot_yaw=0.0
-    )
+    base = dict(furniture="wheelchair", posture="seated", tool="scratcher", robot_pos=(0, 0, 0), robot_yaw=0.0)
     with pytest.raises(ValueError, match="control"):
         scenes.SceneConfig(**base, human_driven=(), control="velocity")
     with pytest.raises(ValueError, match="human_driven"):

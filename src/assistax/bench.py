@@ -30,9 +30,7 @@ def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
     started_s = time.perf_counter() - began
 
     def act(key):
-        return {
-            a: jax.random.uniform(key, (n,), minval=-1.0, maxval=1.0) for a, n in env.action_sizes.items()
-        }
+        return {a: jax.random.uniform(key, (n,), minval=-1.0, maxval=1.0) for a, n in env.action_sizes.items()}
 
     def with_reset(state, key):
         actions = jax.vmap(act)(jax.random.split(key, num_envs))
@@ -70,7 +68,7 @@ def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
         key, k = jax.random.split(key)
         for name, rollout in rollouts.items():
             began = time.perf_counter()
-            after, out = jax.block_until_ready(rollout(state, k))
+            after, _ = jax.block_until_ready(rollout(state, k))
             rates[name].append(num_envs * steps / (time.perf_counter() - began))
             fault |= int(np.max(after.physics.fault))
             if name == "env":
@@ -124,9 +122,7 @@ class _BareBatch:
         self.batch, self.substeps = Batch(env.model, num_envs, env.config.num_threads), env.engine.substeps
         self.batch.bind("sensordata")
         rng = np.random.default_rng(0)
-        actions = {
-            a: jnp.asarray(rng.uniform(-1, 1, (steps, num_envs, n))) for a, n in env.action_sizes.items()
-        }
+        actions = {a: jnp.asarray(rng.uniform(-1, 1, (steps, num_envs, n))) for a, n in env.action_sizes.items()}
         self.ctrl = np.asarray(jax.vmap(jax.vmap(env._ctrl))(actions), np.float64)
 
     def time(self, state) -> float:

@@ -58,18 +58,10 @@ def train(
     from assistax.runs import Run, configure
 
     if resume is not None:
-        given = {
-            "task": task,
-            "algorithm": algorithm,
-            "num_envs": num_envs,
-            "seed": seed,
-            "num_seeds": num_seeds,
-        }
-        given |= {"engine": engine, "preset": preset, "out": out, "set": set or None}
-        if extra := [name.replace("_", "-") for name, value in given.items() if value is not None]:
-            raise UsageError(
-                f"--resume takes everything but --steps from the run; leave out {', '.join(extra)}."
-            )
+        given: dict[str, Any] = {"task": task, "algorithm": algorithm, "num-envs": num_envs, "seed": seed}
+        given |= {"num-seeds": num_seeds, "engine": engine, "preset": preset, "out": out, "set": set or None}
+        if extra := [name for name, value in given.items() if value is not None]:
+            raise UsageError(f"--resume takes everything but --steps from the run; leave out {', '.join(extra)}.")
         run = Run.open(resume, steps=steps)
     else:
         if task is None:
@@ -249,7 +241,7 @@ def bench(
 
 def main() -> None:
     """Entry point of the `assistax` command."""
-    commands = {f.__name__: f for f in (train, evaluate, render, tasks, doctor, bench)}
+    commands: dict[str, Any] = {f.__name__: f for f in (train, evaluate, render, tasks, doctor, bench)}
     try:
         tyro.extras.subcommand_cli_from_dict(
             commands,

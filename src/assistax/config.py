@@ -38,7 +38,7 @@ def with_settings(config: T, settings: Mapping[str, Any], also: Iterable[str] = 
             changes[head] = _cast(prefix + head, hints[head], value)
     for head, values in nested.items():
         changes[head] = with_settings(getattr(config, head), values, prefix=f"{prefix}{head}.")
-    return dataclasses.replace(config, **changes)  # type: ignore[type-var]
+    return dataclasses.replace(config, **changes)  # ty: ignore[invalid-argument-type]
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:

@@ -36,9 +36,7 @@ def play(env: Env, team: Team, episodes: int, seed: int = EVALUATION_SEED) -> di
             state, obs, carries, playing, first = carry
             actions = {}
             for (agent, (policy, _)), k in zip(team.items(), jax.random.split(key, len(team)), strict=True):
-                actions[agent], carries[agent] = policy.act(
-                    params[agent], carries[agent], obs[agent], first, k
-                )
+                actions[agent], carries[agent] = policy.act(params[agent], carries[agent], obs[agent], first, k)
             state, obs, _, terminated, truncated, info = env.step_env(state, actions)
             still_on = playing & ~(terminated["__all__"] | truncated["__all__"])
             out = {k: info[k] for k in ("reward_terms", "metrics", "force", "fault")}

@@ -80,9 +80,7 @@ class Run:
     def create(cls, config: TrainConfig, folder: Path) -> "Run":
         """Make the folder; it must be new or empty."""
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise UsageError(
-                f"{folder} is already in use; name another --out, or continue it with --resume {folder}."
-            )
+            raise UsageError(f"{folder} is already in use; name another --out, or continue it with --resume {folder}.")
         run = cls(folder, config)
         try:
             (folder / "checkpoints").mkdir(parents=True)
@@ -189,9 +187,7 @@ class Run:
         for i in range(self.config.num_seeds):
             one = jax.tree.map(lambda x, i=i: x[i].item(), (log, losses))
             row = {"steps": done * self.steps_per_iteration, "seed": self.config.seed + i}
-            rows.append(
-                row | {"seconds": round(sum(clock.seconds.values()), 3)} | one[0] | {"losses": one[1]}
-            )
+            rows.append(row | {"seconds": round(sum(clock.seconds.values()), 3)} | one[0] | {"losses": one[1]})
         return rows
 
     def _keep_metrics(self, steps: int) -> None:

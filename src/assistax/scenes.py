@@ -29,6 +29,7 @@ import sys
 from dataclasses import dataclass
 from math import cos, pi, sin
 from pathlib import Path
+from typing import Any
 
 if sys.platform == "linux" and not os.environ.get("DISPLAY"):
     os.environ.setdefault("MUJOCO_GL", "egl")  # headless rendering; read when mujoco is first imported
@@ -112,8 +113,14 @@ class SceneConfig:
             raise ValueError(f"human_driven holds {sorted(unknown)}; the joints are {HUMAN_JOINTS}")
 
 
-MEAL_VIEW = {"camera": (-1.25, 1.95, 1.55, 0.22, 0.06, 0.68), "close": (-0.55, 1.05, 1.35, 0.16, 0.03, 0.95)}
-BED_VIEW = {"camera": (0.95, -1.95, 1.65, -0.12, -0.3, 0.66), "close": (0.45, -1.15, 1.4, -0.22, -0.32, 0.78)}
+MEAL_VIEW: dict[str, Any] = {
+    "camera": (-1.25, 1.95, 1.55, 0.22, 0.06, 0.68),
+    "close": (-0.55, 1.05, 1.35, 0.16, 0.03, 0.95),
+}
+BED_VIEW: dict[str, Any] = {
+    "camera": (0.95, -1.95, 1.65, -0.12, -0.3, 0.66),
+    "close": (0.45, -1.15, 1.4, -0.22, -0.32, 0.78),
+}
 SCENES = {
     "scratch": SceneConfig("wheelchair", "seated", "scratcher", (0.75, 0.0, 0.0), pi, RIGHT_ARM),
     "bed_bath": SceneConfig("bed", "lying", "wiper", (-0.25, -0.9, 0.32), pi / 2, RIGHT_ARM, **BED_VIEW),

@@ -75,15 +75,11 @@ def learning_curve(rows: list[dict], title: str, path: Path) -> None:
         ended = [row for row in mine if row["episodes"]]
         label = f"seed {seed}"
         for axis, name in ((axes[0], "return"), (axes[2], "success")):
-            axis.plot(
-                [r["steps"] / 1e6 for r in ended], [r["episode"][name] for r in ended], label=label, lw=1.2
-            )
+            axis.plot([r["steps"] / 1e6 for r in ended], [r["episode"][name] for r in ended], label=label, lw=1.2)
         for i, term in enumerate(terms):
             x, y = [r["steps"] / 1e6 for r in mine], [1000 * r["reward"][term] for r in mine]
             axes[1].plot(x, y, color=f"C{i}", label=term if seed == rows[0]["seed"] else None, lw=1.2)
-    for axis, name in zip(
-        axes, ("return per episode", "reward per 1000 steps, by term", "success rate"), strict=True
-    ):
+    for axis, name in zip(axes, ("return per episode", "reward per 1000 steps, by term", "success rate"), strict=True):
         axis.set(xlabel="million env steps", title=name)
         axis.grid(alpha=0.3)
         axis.legend(frameon=False, fontsize=8)

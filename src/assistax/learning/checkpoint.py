@@ -59,9 +59,7 @@ def load_checkpoint(path: Path, like: Any, part: str = "") -> Any:
                 raise UsageError(f"{path} does not fit this configuration: it has no {name}.")
             value, shape = file.get_tensor(name), _shape(leaf)
             if value.shape != shape:
-                raise UsageError(
-                    f"{path} does not fit this configuration: {name} is {value.shape}, not {shape}."
-                )
+                raise UsageError(f"{path} does not fit this configuration: {name} is {value.shape}, not {shape}.")
             leaves.append(jax.random.wrap_key_data(value) if _is_key(leaf) else jax.numpy.asarray(value))
     return jax.tree.unflatten(jax.tree.structure(like), leaves)
 

@@ -163,9 +163,7 @@ class PPO:
             "reward": jax.tree.map(jnp.mean, log["terms"]),  # per step, by term
             "fault": log["fault"].max(),
         }
-        state = TrainState(
-            state.params, state.opt_state, state.normalizer, env_state, obs, key, state.iteration
-        )
+        state = TrainState(state.params, state.opt_state, state.normalizer, env_state, obs, key, state.iteration)
         return state, batch
 
     # -- learning ------------------------------------------------------------------------------
@@ -220,12 +218,8 @@ class PPO:
             stats[agent]["explained_variance"] = 1.0 - residual / (jnp.var(s["target"]) + 1e-8)
             stats[agent]["std"] = jnp.exp(params[agent]["actor"]["log_std"]).mean()
         # Only now, so that every log-probability above was computed with the rollout's own numbers.
-        normalizer = {
-            agent: update_stats(stats_, batch["obs"][agent]) for agent, stats_ in state.normalizer.items()
-        }
-        return TrainState(
-            params, opt_state, normalizer, state.env_state, state.obs, key, state.iteration + 1
-        ), stats
+        normalizer = {agent: update_stats(stats_, batch["obs"][agent]) for agent, stats_ in state.normalizer.items()}
+        return TrainState(params, opt_state, normalizer, state.env_state, state.obs, key, state.iteration + 1), stats
 
     def _loss(self, params, part):
         losses, stats = zip(*(self._agent_loss(params[a], part[a]) for a in self.env.agents), strict=True)

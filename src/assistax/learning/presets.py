@@ -38,7 +38,5 @@ def preset(name: str, algorithm: str, task: str) -> dict[str, Any]:
     choose("algorithm", algorithm, ALGORITHMS)
     tasks = PRESETS[name][algorithm]
     if task not in tasks:
-        raise UsageError(
-            f"The preset {name!r} has no {algorithm} settings for {task!r}; it has {', '.join(tasks)}."
-        )
+        raise UsageError(f"The preset {name!r} has no {algorithm} settings for {task!r}; it has {', '.join(tasks)}.")
     return dict(tasks[task])

@@ -56,7 +56,7 @@ class _MjxBase:
     """What both implementations share: MuJoCo's state in, one control step, MuJoCo's state out."""
 
     name: str
-    impl: str
+    _model: mjx.Model
 
     def __init__(self, model: mujoco.MjModel, substeps: int):
         self.model, self.substeps = model, substeps
@@ -87,9 +87,7 @@ class _MjxBase:
 
         data, fault = jax.lax.fori_loop(0, substeps, substep, (data, fault))
         fault |= UNSTABLE * ~jnp.isfinite(data.qpos).all()
-        return PhysicsState(
-            data.qpos, data.qvel, data.qacc_warmstart, self._read(data)[0], fault, state.overrides
-        )
+        return PhysicsState(data.qpos, data.qvel, data.qacc_warmstart, self._read(data)[0], fault, state.overrides)
 
     def init(self, qpos, qvel, overrides: Overrides | None = None) -> PhysicsState:
         m = self.model
@@ -135,7 +133,7 @@ class _MjxBase:
 class WarpEngine(_MjxBase):
     """MJX-Warp. Not differentiable; on a GPU not reproducible to the bit."""
 
-    name = impl = "warp"
+    name = "warp"
 
     def __init__(self, model, substeps: int = 4, contacts_per_env: int = 24, constraints_per_env: int = 96):
         if warp is None:
@@ -155,9 +153,7 @@ class WarpEngine(_MjxBase):
 
     def _data(self, num_envs: int) -> mjx.Data:
         with jax.ensure_compile_time_eval():
-            return mjx.make_data(
-                self.model, impl="warp", naconmax=num_envs * self._contacts, njmax=self._constraints
-            )
+            return mjx.make_data(self.model, impl="warp", naconmax=num_envs * self._contacts, njmax=self._constraints)
 
     def _read(self, d):
         # The counters go on counting what found no room; the contact buffer is shared by the batch.
@@ -172,7 +168,7 @@ class MjxEngine(_MjxBase):
     It has no net-force contact sensors, so they are computed here from the contact list.
     """
 
-    name, impl = "mjx", "jax"
+    name = "mjx"
 
     def __init__(self, model: mujoco.MjModel, substeps: int = 4):
         super().__init__(model, substeps)

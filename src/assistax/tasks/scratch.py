@@ -55,10 +55,7 @@ class Scratch:
         self._length = jnp.array([c.half_length for c in capsules])
         self._radius = jnp.array([c.radius for c in capsules])
         # Angles are measured around the axis from the side that faces away from the trunk at rest.
-        outward = [
-            spatial.outward(model, f"right_{segment}", c)
-            for segment, c in zip(SEGMENTS, capsules, strict=True)
-        ]
+        outward = [spatial.outward(model, f"right_{segment}", c) for segment, c in zip(SEGMENTS, capsules, strict=True)]
         self._outward = jnp.array(outward)
         self._side = jnp.array(np.cross([c.axis for c in capsules], outward))
 
