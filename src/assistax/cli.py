@@ -1,6 +1,7 @@
 """The command line: `assistax --help`."""
 
 import json
+import os
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -94,11 +95,13 @@ def evaluate(
 
     Examples:
       assistax evaluate runs/scratch-ippo-0
+      assistax evaluate scratch --policy expert
       assistax evaluate scratch --policy random --json
 
     Args:
       target: a run folder, or a task together with --policy.
-      policy: with a task: both seats still or random.
+      policy: with a task, who plays: still, random, or expert (the robot; with it the human is still,
+        or comes toward the tool: offer, or away from it: withdraw).
       episodes: how many (intervals are over them).
       engine: auto, mujoco, warp or mjx (default: as the run, else auto).
       seed: of the evaluation's draws; fixed unless given.
@@ -136,7 +139,8 @@ def render(
     Args:
       target: a run folder, or a task together with --policy.
       out: an .mp4, or a .png of the last moment (default TASK.mp4).
-      policy: with a task: both seats still or random.
+      policy: with a task, who plays: still, random, or expert (the robot; with it the human is still,
+        or comes toward the tool: offer, or away from it: withdraw).
       engine: auto, mujoco, warp or mjx (default: as the run, else auto).
       seed: of the episode's draws; fixed unless given.
       width: of the picture in pixels.
@@ -165,6 +169,32 @@ def render(
         view=view,
     )
     print(f"wrote {path}")
+
+
+def gallery(*, out: Path = Path("docs/images")) -> None:
+    """Render a picture and a short film of the expert for every task, for the documentation.
+
+    Args:
+      out: folder for TASK.png and TASK.webp; must exist.
+    """
+    from assistax.env import make
+    from assistax.evaluation import play, typical
+    from assistax.policies import scripted_team
+    from assistax.tasks import TASKS
+    from assistax.viewing import film
+
+    if not out.is_dir():
+        raise UsageError(f"The folder {out} does not exist.")
+    for task in TASKS:
+        env = make(task)
+        result = play(env, scripted_team("expert", env), 9)
+        episode = typical(result)
+        on = result["playing"][episode]
+        qpos, marker = result["qpos"][episode][on], result["marker"][episode][on]
+        film(task, qpos, marker, env.dt, out / f"{task}.webp", width=400, height=300)
+        half = len(qpos) // 2
+        film(task, qpos[:half], marker[:half], env.dt, out / f"{task}.png", width=960, height=640)
+        print(f"wrote {out / task}.png and .webp")
 
 
 def tasks(*, json: Json = False) -> None:
@@ -241,7 +271,10 @@ def bench(
 
 def main() -> None:
     """Entry point of the `assistax` command."""
-    commands: dict[str, Any] = {f.__name__: f for f in (train, evaluate, render, tasks, doctor, bench)}
+    commands: dict[str, Any] = {f.__name__: f for f in (train, evaluate, render, gallery, tasks, doctor, bench)}
+    # Programs without physics are compiled once per machine; read when JAX is first imported.
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "assistax" / "jax"
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
     try:
         tyro.extras.subcommand_cli_from_dict(
             commands,
@@ -266,7 +299,7 @@ def _teams(target: str, policy: str | None, engine: str | None):
         return env, [scripted_team(policy, env)], {"task": target, "policy": policy}
     if not Path(target).is_dir():
         if target in TASKS:
-            raise UsageError(f"Say who plays {target}: --policy still or random, or give a run folder.")
+            raise UsageError(f"Say who plays {target}: --policy still, random or expert, or give a run folder.")
         raise UsageError(f"{target!r} is neither a run folder nor a task ({', '.join(TASKS)}) with --policy.")
     run = Run.open(Path(target), engine=engine)
     return run.env, run.teams(), {"task": run.config.task, "run": target}

@@ -21,7 +21,7 @@ from tqdm import tqdm
 from assistax.config import with_settings
 from assistax.env import Env, EnvConfig
 from assistax.errors import UsageError, choose
-from assistax.evaluation import play, summarize
+from assistax.evaluation import play, summarize, typical
 from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
 from assistax.learning.ppo import PPO, PPOConfig, TrainState
 from assistax.learning.presets import ALGORITHMS, preset
@@ -269,12 +269,6 @@ class Run:
             {a: (policy, jax.tree.map(lambda x, i=i: x[i], part)) for a, part in parts.items()}
             for i in range(self.config.num_seeds)
         ]
-
-
-def typical(result: dict[str, Any]) -> int:
-    """The episode with the median return: a film should show what usually happens."""
-    returns = result["metrics"]["return"]
-    return int(np.argsort(returns)[len(returns) // 2])
 
 
 class Clock:

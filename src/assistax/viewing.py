@@ -10,7 +10,7 @@ import numpy as np
 from assistax import scenes
 from assistax.errors import UsageError
 
-FRAMES_PER_SECOND = 25
+FILM_FORMATS = {".mp4": 25, ".webp": 10, ".png": 1}  # frames per second; .webp plays in web pages
 
 
 class Camera:
@@ -45,20 +45,24 @@ class Camera:
 
 
 def film(task: str, qpos: np.ndarray, markers: np.ndarray, dt: float, path: Path, **camera) -> None:
-    """Write an mp4, or for .png the last frame, of qpos [T, nq] with targets [T, 3], dt s apart."""
+    """Film qpos [T, nq] with targets [T, 3], dt s apart, as .mp4 or .webp; for .png the last moment."""
     import imageio.v3 as iio
 
-    if path.suffix not in (".mp4", ".png"):
-        raise UsageError(f"Can write .mp4 and .png, not {path.name!r}.")
+    if path.suffix not in FILM_FORMATS:
+        raise UsageError(f"Can write {', '.join(FILM_FORMATS)}, not {path.name!r}.")
     with Camera(task, **camera) as cam:
         if path.suffix == ".png":
             iio.imwrite(path, cam.picture(qpos[-1], markers[-1]))
             return
-        stride = max(1, round(1 / (FRAMES_PER_SECOND * dt)))
-        frames = (cam.picture(q, m) for q, m in zip(qpos[::stride], markers[::stride], strict=True))
+        rate = FILM_FORMATS[path.suffix]
+        stride = max(1, round(1 / (rate * dt)))
+        frames = [cam.picture(q, m) for q, m in zip(qpos[::stride], markers[::stride], strict=True)]
+        if path.suffix == ".webp":
+            iio.imwrite(path, frames, duration=1000 / rate, loop=0, quality=60, method=4)
+            return
         with warnings.catch_warnings(), iio.imopen(path, "w", plugin="FFMPEG") as video:
             warnings.filterwarnings("ignore", message=r"os\.fork")  # ffmpeg is not Python; JAX cannot know
-            video.write(list(frames), fps=FRAMES_PER_SECOND, macro_block_size=1)
+            video.write(frames, fps=rate, macro_block_size=1)
 
 
 def learning_curve(rows: list[dict], title: str, path: Path) -> None:

@@ -1,8 +1,9 @@
 """What every physics engine promises, and the state that all of them share."""
 
-from typing import Protocol
+from abc import ABC, abstractmethod
 
 import jax
+import jax.numpy as jnp
 import mujoco
 import numpy as np
 
@@ -36,26 +37,29 @@ class PhysicsState:
     overrides: Overrides
 
 
-class Engine(Protocol):
+class Engine(ABC):
     """Pure functions on a PhysicsState, written for one environment and batched by `jax.vmap`."""
 
     name: str
-    model: mujoco.MjModel
-    substeps: int
+
+    def __init__(self, model: mujoco.MjModel, substeps: int):
+        self.model, self.substeps = model, substeps
 
     def init(self, qpos: jax.Array, qvel: jax.Array, overrides: Overrides | None = None) -> PhysicsState:
         """Start at qpos [nq], qvel [nv] with zero controls."""
-        ...
+        m, overrides = self.model, overrides or {}
+        zeros = [jnp.zeros(n) for n in (m.nq, m.nv, m.nv, m.nsensordata)]
+        return self.reinit(PhysicsState(*zeros, jnp.int32(0), overrides), jnp.bool_(True), qpos, qvel, overrides)
 
+    @abstractmethod
     def step(self, state: PhysicsState, ctrl: jax.Array) -> PhysicsState:
         """Hold ctrl [nu] for one control step (`substeps` physics steps)."""
-        ...
 
+    @abstractmethod
     def reinit(
         self, state: PhysicsState, mask: jax.Array, qpos: jax.Array, qvel: jax.Array, overrides: Overrides
     ) -> PhysicsState:
         """`init` where mask (bool) is true, `state` elsewhere; those elsewhere cost nothing."""
-        ...
 
 
 def check_faults(fault, engine_name: str) -> None:

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 
 from assistax.errors import UsageError
-from assistax.physics.engine import OVERFLOW, UNSTABLE, Overrides, PhysicsState
+from assistax.physics.engine import OVERFLOW, UNSTABLE, Engine, Overrides, PhysicsState
 
 try:
     import warp
@@ -52,14 +52,14 @@ def whole_batch(fn: Callable) -> Callable:
     return single
 
 
-class _MjxBase:
+class _MjxBase(Engine):
     """What both implementations share: MuJoCo's state in, one control step, MuJoCo's state out."""
 
     name: str
     _model: mjx.Model
 
     def __init__(self, model: mujoco.MjModel, substeps: int):
-        self.model, self.substeps = model, substeps
+        super().__init__(model, substeps)
         self._reinit = whole_batch(self._reinit_batch)
 
     def _data(self, num_envs: int) -> mjx.Data:
@@ -88,18 +88,6 @@ class _MjxBase:
         data, fault = jax.lax.fori_loop(0, substeps, substep, (data, fault))
         fault |= UNSTABLE * ~jnp.isfinite(data.qpos).all()
         return PhysicsState(data.qpos, data.qvel, data.qacc_warmstart, self._read(data)[0], fault, state.overrides)
-
-    def init(self, qpos, qvel, overrides: Overrides | None = None) -> PhysicsState:
-        m = self.model
-        zeros = PhysicsState(
-            jnp.zeros(m.nq),
-            jnp.zeros(m.nv),
-            jnp.zeros(m.nv),
-            jnp.zeros(m.nsensordata),
-            jnp.int32(0),
-            overrides or {},
-        )
-        return self.reinit(zeros, jnp.bool_(True), qpos, qvel, overrides or {})
 
     def reinit(self, state: PhysicsState, mask, qpos, qvel, overrides: Overrides) -> PhysicsState:
         return self._reinit(state, mask, jnp.asarray(qpos), jnp.asarray(qvel), overrides)

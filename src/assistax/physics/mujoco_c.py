@@ -15,33 +15,22 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
-from assistax.physics.engine import OVERFLOW, UNSTABLE, Overrides, PhysicsState
+from assistax.physics.engine import OVERFLOW, UNSTABLE, Engine, Overrides, PhysicsState
 
 _STATE = ("qpos", "qvel", "qacc_warmstart")
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 _BAD = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{x}")) for x in ("QPOS", "QVEL", "QACC", "CTRL")]
 
 
-class MujocoEngine:
+class MujocoEngine(Engine):
     name = "mujoco"
 
     def __init__(self, model: mujoco.MjModel, substeps: int = 4, num_threads: int = 0):
-        self.model, self.substeps, self.num_threads = model, substeps, num_threads
+        super().__init__(model, substeps)
+        self.num_threads = num_threads
         # A callback may come from several threads; a Batch must not.
         self._lock = threading.Lock()
         self._batches: dict[tuple, Batch] = {}
-
-    def init(self, qpos, qvel, overrides: Overrides | None = None) -> PhysicsState:
-        m = self.model
-        blank = PhysicsState(
-            jnp.zeros(m.nq),
-            jnp.zeros(m.nv),
-            jnp.zeros(m.nv),
-            jnp.zeros(m.nsensordata),
-            jnp.int32(0),
-            overrides or {},
-        )
-        return self.reinit(blank, jnp.bool_(True), qpos, qvel, overrides or {})
 
     def step(self, state: PhysicsState, ctrl) -> PhysicsState:
         out = self._call(self._host_step, (*self._rows(state), ctrl), state.overrides)
