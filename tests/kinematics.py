@@ -6,17 +6,19 @@ import numpy as np
 from assistax import scenes
 
 
-def solve(model, point, seed=0, restarts=12, tolerance=2e-3, accept=lambda data: True):
+def solve(model, point, seed=0, restarts=12, tolerance=2e-3, accept=lambda data: True, facing=None):
     """Robot joint angles within limits that put `tool_tip` at point [3], the person at rest; None if none found.
 
     Damped least squares from the ready pose, then from random poses. `accept(data)` may turn a pose down.
+    With `facing` [3] the z axis of the hand, along which the tool points, is turned there too, to 0.1 rad.
     """
     data = mujoco.MjData(model)
     ids = scenes.qpos_ids(model, scenes.ROBOT_JOINTS)
     low, high = model.jnt_range[[model.joint(j).id for j in scenes.ROBOT_JOINTS]].T
     rng = np.random.default_rng(seed)
     site = model.site("tool_tip").id
-    jac = np.zeros((3, model.nv))
+    hand = model.site_bodyid[site]  # the last body with a joint: fixed ones may be fused into it
+    jac, turn = np.zeros((2, 3, model.nv))
     for attempt in range(restarts):
         mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
         if attempt:
@@ -26,14 +28,17 @@ def solve(model, point, seed=0, restarts=12, tolerance=2e-3, accept=lambda data:
             mujoco.mj_kinematics(model, data)
             mujoco.mj_comPos(model, data)
             error = point - data.site_xpos[site]
-            if np.linalg.norm(error) < tolerance:
+            tilt = np.zeros(3) if facing is None else np.cross(data.xmat[hand].reshape(3, 3)[:, 2], facing)
+            if np.linalg.norm(error) < tolerance and np.linalg.norm(tilt) < 0.1:
                 mujoco.mj_forward(model, data)
                 if accept(data):
                     return data.qpos.copy()
                 break
-            mujoco.mj_jacSite(model, data, jac, None, site)
+            mujoco.mj_jacSite(model, data, jac, turn, site)
             j = jac[:, ids]
-            step = j.T @ np.linalg.solve(j @ j.T + 1e-4 * np.eye(3), error)
+            if facing is not None:
+                j, error = np.concatenate([j, 0.2 * turn[:, ids]]), np.concatenate([error, 0.2 * tilt])
+            step = j.T @ np.linalg.solve(j @ j.T + 1e-4 * np.eye(len(j)), error)
             data.qpos[ids] = np.clip(data.qpos[ids] + np.clip(step, -0.2, 0.2), low, high)
     return None
 

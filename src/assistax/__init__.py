@@ -4,6 +4,8 @@ import assistax
 env = assistax.make("scratch")
 """
 
+import os
+import sys
 from typing import TYPE_CHECKING
 
 from assistax.errors import AssistaxError, SimulationError, UsageError
@@ -11,6 +13,9 @@ from assistax.errors import AssistaxError, SimulationError, UsageError
 if TYPE_CHECKING:
     from assistax.env import Env, EnvConfig, EnvState, make
     from assistax.tasks import TASKS
+
+if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+    os.environ.setdefault("MUJOCO_GL", "egl")  # headless rendering; MuJoCo reads it when first imported
 
 __all__ = ["TASKS", "AssistaxError", "Env", "EnvConfig", "EnvState", "SimulationError", "UsageError", "make"]
 

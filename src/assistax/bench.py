@@ -1,5 +1,6 @@
 """How fast is it here? Environment against bare engine, in turns, so that ratios hold on busy machines."""
 
+import dataclasses
 import time
 from typing import Any
 
@@ -45,7 +46,7 @@ def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
     def engine_only(state, key):
         ctrl = jax.vmap(lambda k: env._ctrl(act(k)))(jax.random.split(key, num_envs))
         physics = jax.vmap(env.engine.step)(state.physics, ctrl)
-        return type(state)(physics, state.task, state.t, state.episode), physics.fault.max()
+        return dataclasses.replace(state, physics=physics), physics.fault.max()
 
     steps = 20
     programs = {"env": with_reset, "no_reset": without_reset}

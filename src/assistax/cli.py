@@ -223,6 +223,33 @@ def tasks(*, json: Json = False) -> None:
     _print_json(listing)
 
 
+def humans(*, seed: int = 0, json: Json = False) -> None:
+    """List the standard disabilities and a person drawn from the paper's preference sweep, in words.
+
+    Any of them can be trained with or evaluated on:
+      assistax train scratch --set env.human.disability=tremor+weakness env.human.preference=sweep
+      assistax train scratch --set "env.human.disability=strength=0.5 tremor=0.2 tremor_hz=4 motion=0.7"
+
+    Args:
+      seed: of the drawn preference.
+      json: print JSON.
+    """
+    import jax
+
+    from assistax.human import DISABILITIES, preference
+    from assistax.human.disability import RANGES
+
+    liked = preference.sample(jax.random.key(seed))
+    words = preference.describe(liked)
+    if json:
+        vector = [round(float(x), 4) for x in preference.vector(liked)]
+        _print_json({"disabilities": DISABILITIES, "ranges": RANGES, "preference": vector, "words": words})
+        return
+    for name, parts in DISABILITIES.items():
+        print(f"{name:34} {' '.join(f'{part}={value:g}' for part, value in parts.items())}")
+    print(f"\nperson {seed} {words}")
+
+
 def doctor(*, json: Json = False) -> None:
     """Say what is installed, which engine is used and why; step and render for two seconds.
 
@@ -271,7 +298,7 @@ def bench(
 
 def main() -> None:
     """Entry point of the `assistax` command."""
-    commands: dict[str, Any] = {f.__name__: f for f in (train, evaluate, render, gallery, tasks, doctor, bench)}
+    commands: dict[str, Any] = {f.__name__: f for f in (train, evaluate, render, gallery, tasks, humans, doctor, bench)}
     # Programs without physics are compiled once per machine; read when JAX is first imported.
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "assistax" / "jax"
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))

@@ -8,9 +8,9 @@ Written for one environment; batch it with `jax.vmap`, nested if need be:
 """
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,7 @@ import numpy as np
 from assistax import scenes
 from assistax.config import with_settings
 from assistax.errors import UsageError, choose
+from assistax.human import HumanConfig, HumanProfile, disability, preference
 from assistax.physics import PhysicsState, make_engine
 from assistax.pytree import pytree
 from assistax.tasks import task_class
@@ -39,14 +40,15 @@ class EnvConfig:
     torque_scale: float = 0.3  # full action, as a fraction of the Panda's torque limits
     reset_noise: float = 0.005  # rad and rad/s, uniform on every joint
     force_limit: float = 20.0  # N, above this the force on the person is counted as too high
+    human: HumanConfig = field(default_factory=HumanConfig)  # who the person is
     num_threads: int = 0  # of the mujoco engine; 0: all cores
     contacts_per_env: int = 24  # buffer of the warp engine
     constraints_per_env: int = 96  # buffer of the warp engine
 
     def __post_init__(self):
-        for field in ("episode_length", "substeps", "contacts_per_env", "constraints_per_env"):
-            if getattr(self, field) < 1:
-                raise UsageError(f"env.{field} must be 1 or more, not {getattr(self, field)}.")
+        for name in ("episode_length", "substeps", "contacts_per_env", "constraints_per_env"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"env.{name} must be 1 or more, not {getattr(self, name)}.")
         if not 0 < self.torque_scale <= 1:
             raise UsageError(f"env.torque_scale must be in (0, 1], not {self.torque_scale}.")
         choose("control mode", self.control, ["torque", "position"])
@@ -70,8 +72,22 @@ class Box:
 class EnvState:
     physics: PhysicsState
     task: TaskState
+    person: HumanProfile
+    phase: jax.Array  # [human's actions] rad, of the tremor
+    force: jax.Array  # N, of the tool on the person in the step before
     t: jax.Array  # int32, control steps since the reset
     episode: dict[str, jax.Array]  # sums and peaks over the episode so far, see Env.metrics
+
+
+class _Start(NamedTuple):
+    """What a reset draws."""
+
+    qpos: jax.Array
+    qvel: jax.Array
+    task: TaskState
+    person: HumanProfile
+    phase: jax.Array
+    overrides: dict[str, jax.Array]
 
 
 class Env:
@@ -98,6 +114,8 @@ class Env:
         self.task = cls(task_config or cls.config_type(), model, self.dt)
         self._slices = scenes.sensor_slices(model)
         driven = scene.human_driven
+        self._body = disability.Body(model, driven)
+        self.action_sizes = {"robot": len(scenes.ROBOT_JOINTS), "human": len(driven)}
         self._gathers = {
             "theta_robot": self._columns("pos_", scenes.ROBOT_JOINTS),
             "dtheta_robot": self._columns("vel_", scenes.ROBOT_JOINTS),
@@ -111,12 +129,10 @@ class Env:
         movable = np.zeros(model.nq)
         movable[scenes.qpos_ids(model, (*scenes.HUMAN_JOINTS, *scenes.ROBOT_JOINTS))] = 1.0
         self._start, self._noise = jnp.asarray(key.qpos), jnp.asarray(config.reset_noise * movable)
-        self._range = jnp.asarray(model.jnt_range.T)
         limits = jnp.asarray(model.actuator_ctrlrange[len(driven) :])
         self._ctrl_mid, self._ctrl_half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
         if config.control == "torque":
             self._ctrl_half *= config.torque_scale
-        self.action_sizes = {"robot": len(scenes.ROBOT_JOINTS), "human": len(driven)}
         self._layouts = self._measure_layouts()
         sizes = {who: max(place.stop for place in layout.values()) for who, layout in self._layouts.items()}
         self.observation_sizes = {agent: sizes[agent] for agent in AGENTS}
@@ -130,9 +146,9 @@ class Env:
         With `elapsed` the time limit is that many steps nearer, so that the episodes of a batch need
         not all end together.
         """
-        qpos, qvel, task = self._draw(key)
-        physics = self.engine.init(qpos, qvel)
-        state = EnvState(physics, task, jnp.asarray(elapsed, jnp.int32), self._no_episode())
+        start = self._draw(key)
+        physics = self.engine.init(start.qpos, start.qvel, start.overrides)
+        state = self._begin(physics, start, jnp.asarray(elapsed, jnp.int32))
         return self._observe(state), state
 
     def step(self, key: jax.Array, state: EnvState, actions: Obs):
@@ -154,28 +170,34 @@ class Env:
         """
         end, obs, rewards, terminated, truncated, info = self.step_env(state, actions)
         done = terminated["__all__"] | truncated["__all__"]
-        qpos, qvel, task = self._draw(key)
-        fresh = (task, jnp.int32(0), self._no_episode())
-        kept = (end.task, end.t, end.episode)
-        task, t, episode = jax.tree.map(partial(jnp.where, done), fresh, kept)
-        physics = self.engine.reinit(end.physics, done, qpos, qvel, end.physics.overrides)
-        state = EnvState(physics, task, t, episode)
+        start = self._draw(key)
+        physics = self.engine.reinit(end.physics, done, start.qpos, start.qvel, start.overrides)
+        kept = dataclasses.replace(end, physics=physics)
+        state = jax.tree.map(partial(jnp.where, done), self._begin(physics, start, jnp.int32(0)), kept)
         info["final_observation"] = obs
         info["final_global_observation"] = self.global_obs(end)
         return self._observe(state), state, rewards, terminated, truncated, info
 
     def step_env(self, state: EnvState, actions: Obs):
         """One control step without auto-reset: (state, obs, rewards, terminated, truncated, info)."""
-        physics = self.engine.step(state.physics, self._ctrl(actions))
+        physics = self.engine.step(state.physics, self._trembling(self._ctrl(actions), state))
         s = self.sensors(physics)
         task = self.task.advance(s, state.task)
         terms = self.task.reward_terms(s, task)
-        reward = sum(terms.values())
-        t = state.t + 1
+        liked = self._preference_terms(s, state, actions)
         force = norm(s["robot_force"])
-        state = EnvState(physics, task, t, self._book(state.episode, s, force, reward))
+        state = dataclasses.replace(
+            state,
+            physics=physics,
+            task=task,
+            force=norm(s["tool_force"]),
+            t=state.t + 1,
+            episode=self._book(state.episode, s, force, sum(terms.values()), sum(liked.values())),
+        )
+        terms |= liked
+        reward = sum(terms.values())
         terminated = self.task.terminated(task)
-        truncated = (t >= self.config.episode_length) & ~terminated
+        truncated = (state.t >= self.config.episode_length) & ~terminated
         info = {
             "reward_terms": terms,
             "metrics": self.metrics(state),
@@ -217,7 +239,8 @@ class Env:
         """Outcome of the episode so far; after its last step, of the whole episode.
 
         `success` (0 or 1), the task's own outcomes, `peak_force` (N) and `seconds_over_force_limit`
-        of the robot on the person, `work_robot` and `work_human` (J), `return` and `length` (steps).
+        of the robot on the person, `work_robot` and `work_human` (J), `return` and `length` (steps);
+        with preferences also `task_return` and `preference_return`, which add up to it.
         """
         success = self.task.success(state.task).astype(jnp.float32)
         return {"success": success, **self.task.outcomes(state.task), **state.episode, "length": state.t}
@@ -231,59 +254,92 @@ class Env:
     def _columns(self, prefix: str, joints) -> np.ndarray:
         return np.array([self._slices[prefix + joint].start for joint in joints])
 
-    def _draw(self, key):
-        """(qpos, qvel, task state) of a new episode."""
-        task_key, key = jax.random.split(key)
+    def _draw(self, key) -> _Start:
+        task_key, person_key, key = jax.random.split(key, 3)
+        person = self.config.human.draw(person_key)
+        overrides = self._body.overrides(person.disability) if self.config.human.disabled else {}
         noise = jax.random.uniform(key, (2, self.model.nq), minval=-1.0, maxval=1.0) * self._noise
-        qpos = jnp.clip(self._start + noise[0], *self._range)
-        return qpos, noise[1], self.task.reset(task_key)
+        limits = overrides.get("jnt_range", jnp.asarray(self.model.jnt_range))
+        qpos = jnp.clip(self._start + noise[0], limits[:, 0], limits[:, 1])
+        phase = jax.random.uniform(person_key, (self.action_sizes["human"],), maxval=2.0 * jnp.pi)
+        return _Start(qpos, noise[1], self.task.reset(task_key), person, phase, overrides)
+
+    def _begin(self, physics: PhysicsState, start: _Start, t) -> EnvState:
+        names = ["return", "peak_force", "seconds_over_force_limit", "work_robot", "work_human"]
+        if self.config.human.preferring:
+            names += ["task_return", "preference_return"]
+        episode = {name: jnp.float32(0.0) for name in names}
+        return EnvState(physics, start.task, start.person, start.phase, jnp.float32(0.0), t, episode)
 
     def _ctrl(self, actions: Obs) -> jax.Array:
         robot, human = (jnp.clip(actions[agent], -1.0, 1.0) for agent in AGENTS)
         return jnp.concatenate([human, self._ctrl_mid + self._ctrl_half * robot])
+
+    def _trembling(self, ctrl, state: EnvState) -> jax.Array:
+        if not self.config.human.disabled:
+            return ctrl
+        trembling = disability.tremor(state.person.disability, state.phase, state.t * self.dt)
+        return ctrl.at[: trembling.size].add(trembling)
+
+    def _preference_terms(self, s: Sensors, state: EnvState, actions: Obs) -> dict[str, jax.Array]:
+        if not self.config.human.preferring:
+            return {}
+        action = jnp.clip(actions["robot"], -1.0, 1.0)
+        speed, force = norm(s["tool_vel"]), norm(s["tool_force"])
+        liked = state.person.preference
+        return preference.reward_terms(liked, speed, force, state.force, action, preference.BUDGET[self.name])
 
     def _blocks(self, state: EnvState) -> dict[str, jax.Array]:
         """All observation blocks by name, in the order of the paper's observation table."""
         s = self.sensors(state.physics)
         names = ("theta_robot", "dtheta_robot", "tool_pos", "tool_quat", "tool_force")
         names += ("theta_human", "dtheta_human")
-        return {name: s[name] for name in names} | self.task.observe(s, state.task)
+        blocks = {name: s[name] for name in names} | self.task.observe(s, state.task)
+        if self.config.human.preferring and self.config.human.visibility != "none":
+            blocks["preference"] = preference.vector(state.person.preference)
+        return blocks
+
+    def _seen_by(self, agent: str, blocks):
+        hidden = set(_HIDDEN[agent])
+        if agent == "robot" and self.config.human.visibility == "human":
+            hidden.add("preference")
+        return {name: block for name, block in blocks.items() if name not in hidden}
 
     def _observe(self, state: EnvState) -> Obs:
         blocks = self._blocks(state)
-        return {agent: _join(_seen_by(agent, blocks)) for agent in AGENTS}
+        return {agent: _join(self._seen_by(agent, blocks)) for agent in AGENTS}
 
     def _measure_layouts(self) -> dict[str, dict[str, slice]]:
         sizes = {}
 
         def trace(key):
-            qpos, qvel, task = self._draw(key)
+            start = self._draw(key)
             blank = jnp.zeros(self.model.nsensordata)
-            physics = PhysicsState(qpos, qvel, qvel, blank, jnp.int32(0), {})
-            blocks = self._blocks(EnvState(physics, task, jnp.int32(0), {}))
+            physics = PhysicsState(start.qpos, start.qvel, start.qvel, blank, jnp.int32(0), {})
+            blocks = self._blocks(self._begin(physics, start, jnp.int32(0)))
             sizes.update({name: block.shape[0] for name, block in blocks.items()})
 
         jax.eval_shape(trace, jax.random.key(0))
         layouts = {}
         for agent in (*AGENTS, "global"):
             seen, end = {}, 0
-            for name, size in _seen_by(agent, sizes).items():
+            for name, size in self._seen_by(agent, sizes).items():
                 seen[name] = slice(end, end + size)
                 end += size
             layouts[agent] = seen
         return layouts
 
-    @staticmethod
-    def _no_episode() -> dict[str, jax.Array]:
-        names = ("return", "peak_force", "seconds_over_force_limit", "work_robot", "work_human")
-        return {name: jnp.float32(0.0) for name in names}
-
-    def _book(self, episode, s: Sensors, force, reward):
+    def _book(self, episode, s: Sensors, force, task_reward, preference_reward):
         work_robot = jnp.abs(s["torque_robot"] * s["dtheta_robot"]).sum() * self.dt
         work_human = jnp.abs(s["torque_human"] * s["dtheta_driven"]).sum() * self.dt
         over = self.dt * (force > self.config.force_limit)
-        return {
-            "return": episode["return"] + reward,
+        if self.config.human.preferring:
+            apart = {"task_return": task_reward, "preference_return": preference_reward}
+            apart = {name: episode[name] + reward for name, reward in apart.items()}
+        else:
+            apart = {}
+        return apart | {
+            "return": episode["return"] + task_reward + preference_reward,
             "peak_force": jnp.maximum(episode["peak_force"], force),
             "seconds_over_force_limit": episode["seconds_over_force_limit"] + over,
             "work_robot": episode["work_robot"] + work_robot,
@@ -292,10 +348,6 @@ class Env:
 
 
 _HIDDEN = {"robot": ("theta_human", "dtheta_human"), "human": ("theta_robot", "dtheta_robot"), "global": ()}
-
-
-def _seen_by(agent: str, blocks):
-    return {name: block for name, block in blocks.items() if name not in _HIDDEN[agent]}
 
 
 def _join(blocks) -> jax.Array:

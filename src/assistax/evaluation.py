@@ -36,7 +36,8 @@ def play(env: Env, team: Team, episodes: int, seed: int = EVALUATION_SEED) -> di
             state, obs, carries, playing, first = carry
             actions = {}
             for (agent, (policy, _)), k in zip(team.items(), jax.random.split(key, len(team)), strict=True):
-                actions[agent], carries[agent] = policy.act(params[agent], carries[agent], obs[agent], first, k)
+                seen = state if getattr(policy, "privileged", False) else obs[agent]
+                actions[agent], carries[agent] = policy.act(params[agent], carries[agent], seen, first, k)
             state, obs, _, terminated, truncated, info = env.step_env(state, actions)
             still_on = playing & ~(terminated["__all__"] | truncated["__all__"])
             out = {k: info[k] for k in ("reward_terms", "metrics", "force", "fault")}
@@ -80,6 +81,12 @@ def summarize(result: dict[str, Any]) -> dict[str, Any]:
         },
         "outcomes": {name: {"mean": float(x.mean()), "ci": bootstrap_ci(x)} for name, x in metrics.items()},
     }
+
+
+def typical(result: dict[str, Any]) -> int:
+    """The episode with the median return: a film should show what usually happens."""
+    returns = result["metrics"]["return"]
+    return int(np.argsort(returns)[len(returns) // 2])
 
 
 def evaluate(env: Env, team: Team, episodes: int = 64, seed: int = EVALUATION_SEED) -> dict[str, Any]:

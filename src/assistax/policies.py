@@ -4,6 +4,7 @@ A policy acts on one observation [n]; batch it with `jax.vmap`. Its parameters a
 with every call, so that a population is the same policy with a leading axis on the parameters.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -20,8 +21,11 @@ class Policy(Protocol):
         """Memory at the beginning of an episode; () for none."""
         ...
 
-    def act(self, params: Any, carry: Any, obs: jax.Array, reset: jax.Array, key: jax.Array):
-        """(action, carry) for obs [n]; `reset` is true on the first step of an episode."""
+    def act(self, params: Any, carry: Any, obs: Any, reset: jax.Array, key: jax.Array, /):
+        """(action, carry) for obs [n]; `reset` is true on the first step of an episode.
+
+        A policy with the attribute `privileged = True` is given the EnvState instead of obs.
+        """
         ...
 
 
@@ -71,12 +75,32 @@ class Actor:
         return mean + jnp.exp(params["actor"]["log_std"]) * jax.random.normal(key, mean.shape), carry
 
 
-SCRIPTED = {"still": Still, "random": Random}
+SCRIPTED = {  # by name, who plays the robot and who the human
+    "still": ("still", "still"),
+    "random": ("random", "random"),
+    "expert": ("expert", "still"),
+    "offer": ("expert", "offer"),
+    "withdraw": ("expert", "withdraw"),
+}
 Team = dict[str, tuple[Policy, Any]]
 """By agent, a policy and its parameters."""
 
 
+def scripted_policy(name: str, env, agent: str) -> Policy:
+    """The policy called `name` for one seat: "still", "random", the robot's "expert", the human's
+    "offer" or "withdraw"."""
+    from assistax.experts import Reflex, expert
+
+    size = env.action_sizes[agent]
+    makers: dict[str, Callable[[], Policy]] = {"still": lambda: Still(size), "random": lambda: Random(size)}
+    if agent == "robot":
+        makers["expert"] = lambda: expert(env)
+    else:
+        makers |= {"offer": lambda: Reflex(env, 1.0), "withdraw": lambda: Reflex(env, -1.0)}
+    return makers[choose(f"{agent}'s policy", name, makers)]()
+
+
 def scripted_team(name: str, env) -> Team:
-    """Both seats played by the scripted policy called `name`."""
-    kind = SCRIPTED[choose("policy", name, SCRIPTED)]
-    return {agent: (kind(env.action_sizes[agent]), ()) for agent in env.agents}
+    """The team called `name`, see SCRIPTED; "expert" has a still human."""
+    seats = zip(env.agents, SCRIPTED[choose("policy", name, SCRIPTED)], strict=True)
+    return {agent: (scripted_policy(seat, env, agent), ()) for agent, seat in seats}

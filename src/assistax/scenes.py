@@ -2,7 +2,7 @@
 
 A scene has 16 hinges and nothing else that moves: nine of the person, seven of the robot. Everything a
 task may read is a named sensor (see :func:`sensor_slices`); everything an agent drives is an actuator:
-first the person's motors (ctrl in [-1, 1]), then the robot's seven.
+first the person's motors (ctrl 1 is full torque; twice that has room for tremor), then the robot's seven.
 
 Which geoms touch (contype / conaffinity; two geoms touch if either's type is in the other's affinity):
 
@@ -24,15 +24,10 @@ constraint row instead of the eight of two box contacts.
 Units: m, kg, s, rad, N, N m. World frame: z up.
 """
 
-import os
-import sys
 from dataclasses import dataclass
 from math import cos, pi, sin
 from pathlib import Path
 from typing import Any
-
-if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-    os.environ.setdefault("MUJOCO_GL", "egl")  # headless rendering; read when mujoco is first imported
 
 import mujoco
 import numpy as np
@@ -215,7 +210,7 @@ def _add_actuators(spec, config):
     """The person's motors, then the robot's; strength is ``actuator_gainprm[:, 0]``, never the gear."""
     joint = mujoco.mjtTrn.mjTRN_JOINT
     for name in config.human_driven:
-        motor = spec.add_actuator(name=name, target=name, trntype=joint, ctrllimited=True, ctrlrange=(-1, 1))
+        motor = spec.add_actuator(name=name, target=name, trntype=joint, ctrllimited=True, ctrlrange=(-2, 2))
         motor.gainprm[0] = HUMAN_TORQUE * config.human_strength
     for i, name in enumerate(ROBOT_JOINTS):
         limit = ROBOT_TORQUE[i]
@@ -258,6 +253,7 @@ def _add_sensors(spec, config):
         sense(f"{segment}_pos", pos, obj.mjOBJ_XBODY, f"right_{segment}")
         sense(f"{segment}_quat", quat, obj.mjOBJ_XBODY, f"right_{segment}")
     sense("mouth_pos", pos, obj.mjOBJ_SITE, "mouth")
+    sense("mouth_quat", quat, obj.mjOBJ_SITE, "mouth")
     for target in config.targets:
         sense(f"{target}_pos", pos, obj.mjOBJ_SITE, target)
         sense(f"{target}_quat", quat, obj.mjOBJ_SITE, target)

@@ -15,6 +15,50 @@ def rotate(quat: jax.Array, vector: jax.Array) -> jax.Array:
     return vector + 2.0 * (w * uv + jnp.cross(u, uv))
 
 
+def matrix(quat: jax.Array) -> jax.Array:
+    """Rotation matrix [..., 3, 3] of the unit quaternion quat [..., 4]; its columns are the frame's axes."""
+    return jnp.stack([rotate(quat, jnp.broadcast_to(axis, (*quat.shape[:-1], 3))) for axis in jnp.eye(3)], -1)
+
+
+def unit(vector: jax.Array) -> jax.Array:
+    """vector [..., 3] with length 1; the zero vector stays zero."""
+    return vector / jnp.maximum(jnp.linalg.norm(vector, axis=-1, keepdims=True), 1e-6)
+
+
+class Chain:
+    """The hinges from the world to a site: where the site is, and how it moves with them."""
+
+    def __init__(self, model: mujoco.MjModel, site: str, joints: tuple[str, ...]):
+        """`joints` are the columns of the Jacobian, in their order."""
+        self._site = model.site(site).pos.copy(), model.site(site).quat.copy()
+        self._bodies = []
+        body = int(model.site(site).bodyid[0])
+        while body:
+            first, count = model.body_jntadr[body], model.body_jntnum[body]
+            hinges = [
+                (int(model.jnt_qposadr[j]), model.jnt_axis[j].copy(), model.jnt_pos[j].copy())
+                for j in range(first, first + count)
+            ]
+            self._bodies.insert(0, (model.body_pos[body].copy(), model.body_quat[body].copy(), hinges))
+            body = int(model.body_parentid[body])
+        self._columns = [int(model.joint(joint).qposadr[0]) for joint in joints]
+
+    def __call__(self, qpos: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """Position [3] and rotation [3, 3] of the site, and its Jacobian [6, joints]: velocity above spin."""
+        pos, rot, hinges = jnp.zeros(3), jnp.eye(3), {}
+        for offset, quat, joints in self._bodies:
+            pos, rot = pos + rot @ offset, rot @ matrix(quat)
+            for address, axis, anchor in joints:
+                pivot = pos + rot @ anchor
+                hinges[address] = rot @ axis, pivot
+                half = qpos[address] / 2
+                rot = rot @ matrix(jnp.concatenate([jnp.cos(half)[None], jnp.sin(half) * axis]))
+                pos = pivot - rot @ anchor
+        pos, rot = pos + rot @ self._site[0], rot @ matrix(self._site[1])
+        spin, pivot = (jnp.stack([hinges[column][i] for column in self._columns]) for i in (0, 1))
+        return pos, rot, jnp.concatenate([jnp.cross(spin, pos - pivot), spin], -1).T
+
+
 class Capsule(NamedTuple):
     """A capsule in the frame of its body; lengths in m."""
 
@@ -44,14 +88,25 @@ def capsule(model: mujoco.MjModel, body: str) -> Capsule:
 
 
 def outward(model: mujoco.MjModel, body: str, limb: Capsule) -> np.ndarray:
-    """Unit vector [3] in the body's frame, square to the limb, that points away from the torso and up at rest."""
+    """Unit vector [3] in the body's frame, square to the limb, that points outward and up at rest."""
+    data = _at_rest(model)
+    away = data.body(body).xpos + data.body(body).xmat.reshape(3, 3) @ limb.centre - data.body("torso").xpos
+    away[2] = np.linalg.norm(away[:2])  # half outward, half upward
+    return _square_to(limb, data.body(body).xmat.reshape(3, 3).T @ away)
+
+
+def upward(model: mujoco.MjModel, body: str, limb: Capsule) -> np.ndarray:
+    """Unit vector [3] in the body's frame, square to the limb, that points up as far as it can at rest."""
+    return _square_to(limb, _at_rest(model).body(body).xmat.reshape(3, 3)[2])
+
+
+def _at_rest(model: mujoco.MjModel) -> mujoco.MjData:
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
     mujoco.mj_kinematics(model, data)
-    rot = data.body(body).xmat.reshape(3, 3)
-    centre = data.body(body).xpos + rot @ limb.centre
-    away = centre - data.body("torso").xpos
-    away[2] = np.linalg.norm(away[:2])  # half outward, half upward
-    away = rot.T @ away
-    away -= limb.axis * (limb.axis @ away)
-    return away / np.linalg.norm(away)
+    return data
+
+
+def _square_to(limb: Capsule, vector: np.ndarray) -> np.ndarray:
+    vector = vector - limb.axis * (limb.axis @ vector)
+    return vector / np.linalg.norm(vector)

@@ -2,8 +2,15 @@
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
-SIGMA = 0.1  # σ of the reach terms
+from assistax.spatial import unit
+
+SIGMA = 0.1  # σ of the reach terms, m² in r_t, m in r_t'
+DECAY = 3.0  # 1/m, of r_te and of the alignment's envelope
+PROXIMITY = 150.0  # 1/m², of the feeding terms: p is 0.22 at 10 cm, 0.69 at 5 cm
+APPROACH_WIDTH = 0.01  # m²/s², of r_v
+UP = np.array([0.0, 0.0, 1.0])
 
 
 def boltzmann(x: jax.Array) -> jax.Array:
@@ -14,6 +21,51 @@ def boltzmann(x: jax.Array) -> jax.Array:
 def reach(distance: jax.Array) -> jax.Array:
     """r_t = exp(−d²/σ), distance d in m."""
     return jnp.exp(-jnp.square(distance) / SIGMA)
+
+
+def envelope(distance: jax.Array) -> jax.Array:
+    """exp(−3d), distance d in m: half of r_te, and what r_a is multiplied with."""
+    return jnp.exp(-DECAY * distance)
+
+
+def waist(distance: jax.Array) -> jax.Array:
+    """r_t' = 1 − tanh(d_H/σ), distance d_H in m."""
+    return 1.0 - jnp.tanh(distance / SIGMA)
+
+
+def rotation(relative: jax.Array) -> jax.Array:
+    """2√2 − ‖R_1 − R_2‖_F for relative [3, 3] = R_1ᵀR_2: 2√2 when aligned, 0 when half a turn apart.
+
+    The paper's r_R is the norm itself, which would reward misalignment; its bound is the same.
+    """
+    return 2.0 * 2.0**0.5 - norm((relative - jnp.eye(3)).ravel())
+
+
+def proximity(distance: jax.Array) -> jax.Array:
+    """p = exp(−150 d²), distance d in m: 1 at the mouth, 0 far away."""
+    return jnp.exp(-PROXIMITY * jnp.square(distance))
+
+
+def orientation(to_mouth: jax.Array, up: jax.Array, tip: jax.Array) -> jax.Array:
+    """r_o = r_pour + (0.3 + 0.7p)·r_aim of a spoon with the unit directions up and tip [3].
+
+    Level while far from the mouth, tilted toward it when near: r_pour = t·up for the direction
+    t = normalise((1−p)·ẑ + p·û), and r_aim = tip·û. to_mouth [3] in m.
+    """
+    towards, p = unit(to_mouth), proximity(norm(to_mouth))
+    target = unit((1.0 - p) * UP + p * towards)
+    return target @ up + (0.3 + 0.7 * p) * (tip @ towards)
+
+
+def approach(speed: jax.Array, distance: jax.Array, top_speed: float) -> jax.Array:
+    """r_v = exp(−(v − v*_app)²/0.01) with v*_app = top_speed·(1 − p): fast when far, still at the mouth."""
+    wanted = top_speed * (1.0 - proximity(distance))
+    return jnp.exp(-jnp.square(speed - wanted) / APPROACH_WIDTH)
+
+
+def alignment(to_mouth: jax.Array, bristle: jax.Array, handle: jax.Array) -> jax.Array:
+    """r_align = ½·[bristle·û + (1 − |handle·ẑ|)]: bristles toward the mouth, handle level."""
+    return 0.5 * (bristle @ unit(to_mouth) + 1.0 - jnp.abs(handle @ UP))
 
 
 def norm(x: jax.Array) -> jax.Array:

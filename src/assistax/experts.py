@@ -1,0 +1,351 @@
+"""Scripted robot experts, one per task, and scripted people.
+
+They show that every task can be done with the robot's own torques, give learned policies something to
+be measured against, and are partners for ad-hoc teamwork. They are `privileged`: instead of an
+observation they are given the whole EnvState.
+
+A robot expert says at every step where the tool point should be, how it should be turned and how hard it
+should press (a `Goal`); one controller turns that into joint torques.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from assistax import scenes, spatial
+from assistax.errors import UsageError
+from assistax.tasks.rewards import UP, norm, proximity
+from assistax.tasks.scratch import SEGMENTS
+
+# The controller. Tool point and tool frame are driven with limited speed, as a person would like it.
+GAIN = 6.0  # 1/s, wanted speed per m of error
+TURN_GAIN = 6.0  # 1/s, wanted spin per rad of error
+DAMPING = 80.0  # N s/m: times GAIN a stiffness of 480 N/m
+PRESS_DAMPING = 40.0  # N s/m, along the direction of pressing
+TURN_DAMPING = 4.0  # N m s/rad
+TURN_SPEED = 1.5  # rad/s, at most
+POSTURE_STIFFNESS, POSTURE_DAMPING = 6.0, 3.0  # N m/rad, N m s/rad: toward the ready pose, in the null space
+
+
+LEVEL = jnp.array([1.0, 1.0, 0.0])
+
+
+class Goal(NamedTuple):
+    """What the tool should do now, in world axes."""
+
+    pos: jax.Array  # [3] m, of the tool point
+    rot: jax.Array  # [3, 3], of the tool point's frame
+    speed: jax.Array | float = 0.3  # m/s, at most, on the way to pos
+    drift: jax.Array | float = 0.0  # [3] m/s, added to that: strokes
+    press: jax.Array | float = 0.0  # [3] N, pushed with
+    free: jax.Array | float = 0.0  # [3] unit: along it force rules, not pos; 0 for none
+
+
+class Expert:
+    """A robot that follows a script of goals."""
+
+    privileged = True
+
+    def __init__(self, env):
+        if env.config.control != "torque":
+            raise UsageError(f"The expert plays with env.control=torque only, not {env.config.control!r}.")
+        self.env = env
+        self.tool = spatial.Chain(env.model, "tool_tip", scenes.ROBOT_JOINTS)
+        self._ids = scenes.qpos_ids(env.model, scenes.ROBOT_JOINTS)
+        self._full = jnp.array(scenes.ROBOT_TORQUE) * env.config.torque_scale
+        # The joints' own damping, given back: where the arm is stretched it would swallow a force of 1 N.
+        self._drag = 0.9 * jnp.array(env.model.dof_damping[self._ids])
+
+    def initial_carry(self) -> Any:
+        """The script's memory."""
+        return ()
+
+    def goal(self, carry, s, task, pos, rot):
+        """(Goal, carry) from the sensors, the task's state and the tool's pose [3], [3, 3]."""
+        raise NotImplementedError
+
+    def act(self, params, carry, state, reset, key):
+        qpos, qvel = state.physics.qpos, state.physics.qvel[self._ids]
+        pos, rot, jacobian = self.tool(qpos)
+        start = self.initial_carry()
+        carry = jax.tree.map(lambda new, old: jnp.where(reset, new, old), start, carry)
+        goal, carry = self.goal(carry, self.env.sensors(state.physics), state.task, pos, rot)
+        velocity = jacobian @ qvel
+        error = goal.pos - pos
+        error -= goal.free * jnp.dot(goal.free * jnp.ones(3), error)
+        wanted = _at_most(GAIN * error, goal.speed) + goal.drift
+        force = DAMPING * (wanted - velocity[:3]) + goal.press
+        force += (DAMPING - PRESS_DAMPING) * goal.free * jnp.dot(goal.free * jnp.ones(3), velocity[:3])
+        turn = 0.5 * jnp.cross(rot.T, goal.rot.T).sum(0)  # sin(angle) times the axis of the missing turn
+        torque = TURN_DAMPING * (_at_most(TURN_GAIN * turn, TURN_SPEED) - velocity[3:])
+        posture = POSTURE_STIFFNESS * (jnp.array(scenes.READY_POSE) - qpos[self._ids]) - POSTURE_DAMPING * qvel
+        square = jacobian @ jacobian.T + 1e-5 * jnp.eye(6)
+        posture -= jacobian.T @ jnp.linalg.solve(square, jacobian @ posture)
+        joint_torque = jacobian.T @ jnp.concatenate([force, torque]) + posture + self._drag * qvel
+        return jnp.clip(joint_torque / self._full, -1.0, 1.0), carry
+
+
+class ScratchExpert(Expert):
+    """Stick square to the skin, 3 N, strokes of 6 cm along the limb."""
+
+    stroke = 0.03  # m, to either side of the itch
+    speed = 0.06  # m/s
+    force = 3.0  # N
+    drag = 1.5  # N, to overcome friction
+
+    def initial_carry(self):
+        return {"way": jnp.float32(1.0)}
+
+    def goal(self, carry, s, task, pos, rot):
+        t = self.env.task
+        upper = task.segment == 0
+        frame = spatial.matrix(jnp.where(upper, s["upper_arm_quat"], s["forearm_quat"]))
+        origin = jnp.where(upper, s["upper_arm_pos"], s["forearm_pos"])
+        axis = frame @ t._axis[task.segment]
+        from_centre = task.itch - t._centre[task.segment]
+        normal = frame @ spatial.unit(from_centre - t._axis[task.segment] * (from_centre @ t._axis[task.segment]))
+        itch = origin + frame @ task.itch
+        along = (pos - itch) @ axis
+        off = pos - itch - along * axis
+        near = norm(off) < 0.03
+        way = jnp.where(jnp.abs(along) > self.stroke, -jnp.sign(along), carry["way"])
+        hover = itch + 0.05 * normal
+        aligned = norm(jnp.cross(rot[:, 2], -normal)) < 0.2
+        start = near | (aligned & (norm(pos - hover) < 0.02)) | (aligned & (norm(off) < 0.06) & (jnp.abs(along) < 0.03))
+        target = jnp.where(start, itch + jnp.clip(along, -self.stroke, self.stroke) * axis, hover)
+        turned = _turn_to(rot, -normal)
+        return Goal(
+            target,
+            turned,
+            drift=jnp.where(near, self.speed * way, 0.0) * axis,
+            press=jnp.where(start, -self.force, 0.0) * normal + jnp.where(near, self.drag * way, 0.0) * axis,
+            free=jnp.where(start, 1.0, 0.0) * normal,
+        ), {"way": way}
+
+
+class BedBathExpert(Expert):
+    """Pad flat on the ridge of the arm, 5 N, from the shoulder to the wrist at an even pace."""
+
+    seconds = 6.0  # from end to end
+
+    def initial_carry(self):
+        return {"progress": jnp.float32(0.0)}
+
+    def goal(self, carry, s, task, pos, rot):
+        progress = carry["progress"]
+        points, ups = [], []
+        for segment, local in zip(SEGMENTS, self.env.task.points, strict=True):
+            frame, origin = spatial.matrix(s[f"{segment}_quat"]), s[f"{segment}_pos"]
+            ridge = origin + local[16:8:-1] @ frame.T  # the middle row, toward the hand
+            limb = spatial.unit(ridge[-1] - ridge[0])
+            points.append(ridge)
+            ups.append(jnp.broadcast_to(spatial.unit(jnp.asarray(UP - limb * (limb @ UP))), ridge.shape))
+        points, ups = jnp.concatenate(points), jnp.concatenate(ups)
+        place = progress * (len(points) - 1)
+        knots = jnp.arange(len(points))
+        on_skin, up = (jnp.stack([jnp.interp(place, knots, x[:, i]) for i in range(3)]) for x in (points, ups))
+        up = spatial.unit(up)
+        off = pos - on_skin
+        above = norm(off - up * (off @ up)) < 0.03
+        touching = above & (off @ up < 0.05)
+        progress += jnp.where(touching, self.env.dt / self.seconds, 0.0)
+        return Goal(
+            jnp.where(above, on_skin, on_skin + 0.06 * up),
+            _turn_to(rot, -up),
+            press=jnp.where(above, -5.0, 0.0) * up,
+            free=jnp.where(above, 1.0, 0.0) * up,
+        ), {"progress": jnp.minimum(progress, 1.0)}
+
+
+class ArmAssistExpert(Expert):
+    """Hook under the forearm where it hangs over the edge of the bed, lift it, carry it to the waist."""
+
+    pull = 1.5  # m of goal per m that the forearm is away from the waist
+    sink = 0.03  # m, of the hook's platform below the forearm's axis while carrying
+    speeds = (1.0, 0.8, 0.6, 0.6, 1.0)  # m/s, by phase
+
+    def initial_carry(self):
+        return {"phase": jnp.int32(0)}
+
+    def goal(self, carry, s, task, pos, rot):
+        phase = carry["phase"]
+        wrist, frame = s["wrist_target_pos"], spatial.matrix(s["wrist_target_quat"])
+        outside = spatial.unit(frame[:, 0] * LEVEL)  # the side away from the trunk
+        grip = wrist - 0.075 * frame[:, 2]  # between wrist target and hand, where no mattress is below
+        to_waist = s["waist_target_pos"] - wrist
+        lift = jnp.clip(0.5 * norm(to_waist * LEVEL), 0.0, 0.05) * UP
+        ways = jnp.stack([
+            grip + 0.16 * outside + 0.20 * UP,  # over the hand
+            grip + 0.16 * outside - 0.035 * UP,
+            grip - 0.035 * UP,
+            pos + 0.05 * UP,
+            grip + self.pull * to_waist * LEVEL + lift - self.sink * UP,
+        ])  # fmt: skip
+        arrived = norm(ways[phase] - pos) < jnp.array([0.12, 0.02, 0.02, 0.0, 0.0])[phase]
+        arrived |= (phase == 3) & (to_waist[2] < -0.035)
+        speed = jnp.array(self.speeds)[phase]
+        return Goal(ways[phase], frame, speed), {"phase": phase + arrived}
+
+
+class FeedingExpert(Expert):
+    """Level the spoon beside the face, bring it to the mouth, roll it toward the lips there.
+
+    From straight ahead the hand would be out of reach: the spoon comes from the robot's side.
+    """
+
+    bearing = 1.0  # rad, from straight ahead toward the robot
+    roll = 0.7  # rad, at the mouth
+
+    def initial_carry(self):
+        return {"level": jnp.bool_(False)}
+
+    def goal(self, carry, s, task, pos, rot):
+        mouth, face = s["mouth_pos"], spatial.matrix(s["mouth_quat"])
+        forward = spatial.unit(face[:, 0] * LEVEL)
+        right = jnp.cross(forward, UP)  # the person's right, where the robot stands
+        tip = -jnp.cos(self.bearing) * forward - jnp.sin(self.bearing) * right
+        distance = norm(mouth - pos)
+        roll = self.roll * proximity(distance)
+        side = jnp.cross(UP, tip)
+        side = side * jnp.sign(-side @ forward)  # level, square to the spoon, toward the face
+        up = jnp.cos(roll) * UP + jnp.sin(roll) * side
+        turned = jnp.stack([-up, jnp.cross(tip, -up), tip], -1)
+        front = mouth - 0.18 * tip + 0.02 * forward
+        level = carry["level"] | ((-rot[2, 0] > 0.96) & (norm(front - pos) < 0.05))
+        near = level & (distance < 0.05)
+        speed = jnp.where(level, 0.21 * (1.0 - proximity(distance)) + 0.02, 0.25)
+        return Goal(
+            jnp.where(level, mouth + jnp.where(near, 0.0, 0.02) * forward, front),
+            turned,
+            speed,
+            press=jnp.where(near, -1.0, 0.0) * forward,
+            free=jnp.where(near, 1.0, 0.0) * forward,
+        ), {"level": level}
+
+
+class ToothBrushingExpert(Expert):
+    """Brush level and across the mouth, bristles on it, in small circles."""
+
+    radius = 0.012  # m, of the circles
+    speed = 0.045  # m/s
+    force = 1.5  # N
+    bearing = 0.15  # rad, by which the bristles look past the mouth
+
+    def initial_carry(self):
+        return {"angle": jnp.float32(0.0), "there": jnp.bool_(False)}
+
+    def goal(self, carry, s, task, pos, rot):
+        mouth, face = s["mouth_pos"], spatial.matrix(s["mouth_quat"])
+        ahead = spatial.unit(face[:, 0] * LEVEL)
+        left = jnp.cross(UP, ahead)
+        out = jnp.cos(self.bearing) * ahead + jnp.sin(self.bearing) * left  # keeps the hand off the shoulder
+        along = jnp.cross(UP, out)
+        turned = jnp.stack([out, jnp.cross(along, out), along], -1)
+        front = mouth + 0.03 * ahead
+        aligned = jnp.trace(rot.T @ turned) > 2.9
+        there = carry["there"] | (aligned & (norm(front - pos) < 0.02))
+        near = there & (norm(mouth - pos) < 0.04)
+        angle = carry["angle"] + jnp.where(near, self.speed * self.env.dt / self.radius, 0.0)
+        circle = self.radius * (jnp.cos(angle) * left + jnp.sin(angle) * UP)
+        stroke = self.speed * (-jnp.sin(angle) * left + jnp.cos(angle) * UP)
+        return Goal(
+            jnp.where(there, mouth + near * circle, front),
+            turned,
+            drift=near * stroke,
+            press=jnp.where(there, -self.force, 0.0) * ahead,
+            free=jnp.where(there, 1.0, 0.0) * ahead,
+        ), {"angle": angle, "there": there}
+
+
+EXPERTS = {
+    "scratch": ScratchExpert,
+    "bed_bath": BedBathExpert,
+    "arm_assist": ArmAssistExpert,
+    "feeding": FeedingExpert,
+    "tooth_brushing": ToothBrushingExpert,
+}
+
+
+def expert(env) -> Expert:
+    """The robot expert of the environment's task."""
+    return EXPERTS[env.name](env)
+
+
+class Reflex:
+    """A person who moves the forearm (the mouth, if it drives the neck) toward the tool, or away from it."""
+
+    privileged = True
+    pull = 40.0  # N, on the forearm or mouth
+    damping = 0.5  # N m s/rad
+
+    def __init__(self, env, sign: float):
+        """`sign` is 1 to offer, -1 to withdraw."""
+        self.sign = sign
+        scene = scenes.SCENES[env.name]
+        site = "mouth" if scene.human_driven == scenes.NECK else "wrist_target"
+        self.limb = spatial.Chain(env.model, site, scene.human_driven)
+        self.env, self._ids = env, scenes.qpos_ids(env.model, scene.human_driven)
+        self._full = scenes.HUMAN_TORQUE * scene.human_strength
+
+    def initial_carry(self):
+        return ()
+
+    def act(self, params, carry, state, reset, key):
+        pos, _, jacobian = self.limb(state.physics.qpos)
+        tool = self.env.sensors(state.physics)["tool_pos"]
+        force = self.sign * self.pull * spatial.unit(tool - pos)
+        torque = jacobian[:3].T @ force - self.damping * state.physics.qvel[self._ids]
+        return jnp.clip(torque / self._full, -1.0, 1.0), carry
+
+
+def _at_most(vector: jax.Array, length) -> jax.Array:
+    """vector [3], shortened to `length` if it is longer."""
+    return vector * jnp.minimum(1.0, length / jnp.maximum(norm(vector), 1e-9))
+
+
+def _turn_to(rot: jax.Array, direction: jax.Array) -> jax.Array:
+    """The rotation [3, 3] nearest to rot whose z axis is the unit vector `direction`."""
+    x = rot[:, 0] - direction * (rot[:, 0] @ direction)
+    x = spatial.unit(x)
+    return jnp.stack([x, jnp.cross(direction, x), direction], -1)
+
+
+BOUNDS = {"scratch": 1000, "bed_bath": 1156, "arm_assist": 11280, "feeding": 4700, "tooth_brushing": 3140}
+"""The paper's upper bounds of the return per episode of 1000 steps."""
+
+
+def table(episodes: int = 64, engine: str = "auto") -> str:
+    """How every expert does with a still person, as a Markdown table; takes a minute or two."""
+    from assistax.env import make
+    from assistax.evaluation import evaluate
+    from assistax.policies import scripted_team
+
+    rows = ["| task | success | return | of the paper's bound | force in contact, N | 95 % below, N | peak, N |"]
+    rows.append("|---|---|---|---|---|---|---|")
+    for name, bound in BOUNDS.items():
+        env = make(name, engine)
+        report = evaluate(env, scripted_team("expert", env), episodes)
+        force, value = report["force"], report["mean_return"]
+        rows.append(
+            f"| {name} | {report['success_rate']:.0%} | {value:.0f} | {value / bound:.0%} "
+            f"| {force['mean_in_contact']:.1f} | {force['p95']:.1f} | {force['peak']:.0f} |"
+        )
+    return "\n".join(rows)
+
+
+PAGE = """# Scripted experts
+
+Each task has a scripted robot that knows the whole simulator state (`src/assistax/experts.py`). The table is
+its play with a still person, {episodes} episodes on the evaluation seeds. This page is written by
+`python -m assistax.experts > docs/experts.md`.
+
+{table}
+
+Scratching and brushing succeed only while the tool slides with a force in a narrow band. This controller
+holds the force while the tool stands still on the skin, but not while it slides: the contact then opens and
+closes within a few physics steps, with several times the wanted force while it lasts.
+"""
+
+if __name__ == "__main__":
+    print(PAGE.format(episodes=64, table=table(64)), end="")

@@ -1,0 +1,103 @@
+"""How a person likes it done: how fast, how firmly, without being poked, without waste.
+
+Paper: section "Preference Rewards" and appendix "Preference Reward System".
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from assistax.errors import UsageError
+from assistax.pytree import pytree
+
+# Most that the preference reward can add per step, so that the paper's combined maxima hold.
+BUDGET = {"scratch": 1.0, "bed_bath": 1.156, "arm_assist": 4.512, "feeding": 1.88, "tooth_brushing": 1.256}
+TOUCH = 0.1  # N, τ: a touch begins when the force rises through this
+NARROWEST = {"speed": 0.02, "force": 0.5}  # m/s, N: the paper's Gaussian divides by the width
+SIZE = 7  # of the observed vector
+
+
+@pytree
+class Preference:
+    """One person's. The paper's sweep draws all of it."""
+
+    speed: jax.Array  # [2] m/s, of the tool point: least and most
+    force: jax.Array  # [2] N, of the tool on the person: least and most
+    weights: jax.Array  # [4] of speed, force, touch (at most 0) and action efficiency
+
+
+def preference(
+    speed: tuple[float, float] = (0.06, 0.14),
+    force: tuple[float, float] = (1.5, 3.5),
+    weights: tuple[float, ...] = (0.3, 0.35, -0.03, 0.0),
+) -> Preference:
+    """A Preference from plain numbers, by default the paper's; raises UsageError for an impossible one."""
+    for name, (low, high) in {"speed": speed, "force": force}.items():
+        if not 0 <= low <= high - NARROWEST[name] + 1e-9:
+            raise UsageError(
+                f"A preferred {name} must be a range (least, most) from 0 up, at least {NARROWEST[name]} wide, "
+                f"not ({low:g}, {high:g})."
+            )
+    w_speed, w_force, w_touch, w_action = (*weights, 0.0)[:4]
+    if min(w_speed, w_force, w_action) < 0 or w_touch > 0:
+        raise UsageError(f"Preference weights must not be negative, the touch weight not positive: {weights}.")
+    if w_speed + w_force + w_action <= 0:
+        raise UsageError("Preference weights of speed, force and action must not all be zero.")
+    return Preference(*(jnp.asarray(x, jnp.float32) for x in (speed, force, (w_speed, w_force, w_touch, w_action))))
+
+
+def sample(key: jax.Array) -> Preference:
+    """A draw of the paper's sweep, its ranges at least NARROWEST wide."""
+    u = jax.random.uniform(key, (7,))
+
+    def between(i, low, high):
+        return low + (high - low) * u[i]
+
+    slow, soft = between(0, 0.03, 0.08), between(2, 1.0, 2.0)
+    fast, firm = between(1, slow + NARROWEST["speed"], 0.20), between(3, soft + NARROWEST["force"], 5.0)
+    weights = jnp.stack([between(4, 0.1, 0.5), between(5, 0.1, 0.6), between(6, -0.1, -0.01), 0.0])
+    return Preference(jnp.stack([slow, fast]), jnp.stack([soft, firm]), weights)
+
+
+def vector(person: Preference) -> jax.Array:
+    """What an agent sees of it [7]: v_min, v_max, f_min, f_max, w_speed, w_force, w_touch."""
+    return jnp.concatenate([person.speed, person.force, person.weights[:3]])
+
+
+def liking(x: jax.Array, wanted: jax.Array) -> jax.Array:
+    """Pref(x; [x_min, x_max]): 1 inside the range, outside a Gaussian around its centre (wanted [2])."""
+    centre, width = wanted.mean(), (wanted[1] - wanted[0]) / 2
+    inside = (wanted[0] <= x) & (x <= wanted[1])
+    return jnp.where(inside, 1.0, jnp.exp(-jnp.square(x - centre) / (2.0 * jnp.square(width))))
+
+
+def reward_terms(person: Preference, speed, force, force_before, action, budget: float) -> dict[str, jax.Array]:
+    """Named terms whose positive ones add up to `budget` at most, whatever the weights.
+
+    Args:
+      speed: m/s of the tool point. force, force_before: N on the person, now and a step ago.
+      action: [n] of the robot; its efficiency is 1 − mean(action²).
+    """
+    w_speed, w_force, w_touch, w_action = person.weights
+    eta = budget / (w_speed + w_force + w_action)
+    touch = (force_before < TOUCH) & (force >= TOUCH)
+    return {
+        "prefer_speed": eta * w_speed * liking(speed, person.speed),
+        "prefer_force": eta * w_force * liking(force, person.force),
+        "prefer_touch": eta * w_touch * touch,
+        "prefer_action": eta * w_action * (1.0 - jnp.square(action).mean()),
+    }
+
+
+def describe(person: Preference) -> str:
+    """In words."""
+    (slow, fast), (soft, firm) = np.asarray(person.speed), np.asarray(person.force)
+    w_speed, w_force, w_touch, _ = np.asarray(person.weights)
+    pace = "slow" if fast < 0.1 else "brisk" if slow > 0.06 else "at an even pace"
+    touch = "gentle" if firm < 2.5 else "firm" if soft > 1.6 else "neither soft nor hard"
+    cares = "how fast" if w_speed > w_force else "how firm"
+    poke = "minds being poked" if w_touch < -0.05 else "does not mind a new touch much"
+    return (
+        f"likes it {pace}, {slow:.2f}–{fast:.2f} m/s, and {touch}, {soft:.1f}–{firm:.1f} N; "
+        f"cares more about {cares} it is, and {poke}"
+    )

@@ -1,0 +1,86 @@
+"""Bring a person's weak right arm, which hangs over the edge of the bed, back beside the waist.
+
+Paper: task "Arm Assist"; reward components r_t, r_t' and r_R. The wrist target is the middle of the
+forearm, as in the paper's figure; d_H is its distance to the waist target.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+from assistax import spatial
+from assistax.pytree import pytree
+from assistax.tasks.base import Sensors
+from assistax.tasks.rewards import norm, reach, rotation, waist
+
+
+@dataclass(frozen=True)
+class ArmAssistConfig:
+    waist_scale: float = 10.0
+    rotation_scale: float = 0.1
+    # What counts as brought back, and for how long in all it must last to be a success.
+    waist_distance: float = 0.10  # m
+    success_seconds: float = 0.5
+
+
+@pytree
+class ArmAssistState:
+    seconds_at_waist: jax.Array
+
+
+class ArmAssist:
+    name: ClassVar[str] = "arm_assist"
+    title: ClassVar[str] = "Lift a person's weak right arm back to the waist"
+    config_type = ArmAssistConfig
+
+    def __init__(self, config: ArmAssistConfig, model: mujoco.MjModel, dt: float):
+        self.config, self.dt = config, dt
+
+    def reset(self, key) -> ArmAssistState:
+        """Nothing is drawn: both targets are sites on the person."""
+        return ArmAssistState(jnp.float32(0.0))
+
+    @staticmethod
+    def _rotation(s: Sensors):
+        """R_hookᵀ R_wrist [3, 3]."""
+        return spatial.matrix(s["tool_quat"]).T @ spatial.matrix(s["wrist_target_quat"])
+
+    def observe(self, s: Sensors, state: ArmAssistState):
+        vector = s["wrist_target_pos"] - s["tool_pos"]
+        to_waist = s["waist_target_pos"] - s["wrist_target_pos"]
+        return {
+            "forearm_pos": s["forearm_pos"],
+            "upper_arm_pos": s["upper_arm_pos"],
+            "target_vector": vector,
+            "target_distance": norm(vector)[None],
+            "target_rotation": self._rotation(s).ravel(),
+            "waist_vector": to_waist,
+            "waist_distance": norm(to_waist)[None],
+        }
+
+    def reward_terms(self, s: Sensors, state: ArmAssistState):
+        c = self.config
+        return {
+            "reach": reach(norm(s["wrist_target_pos"] - s["tool_pos"])),
+            "waist": c.waist_scale * waist(norm(s["waist_target_pos"] - s["wrist_target_pos"])),
+            "rotation": c.rotation_scale * rotation(self._rotation(s)),
+        }
+
+    def advance(self, s: Sensors, state: ArmAssistState) -> ArmAssistState:
+        there = norm(s["waist_target_pos"] - s["wrist_target_pos"]) < self.config.waist_distance
+        return ArmAssistState(state.seconds_at_waist + self.dt * there)
+
+    def outcomes(self, state: ArmAssistState):
+        return {"seconds_at_waist": state.seconds_at_waist}
+
+    def success(self, state: ArmAssistState):
+        return state.seconds_at_waist >= self.config.success_seconds
+
+    def terminated(self, state: ArmAssistState):
+        return jnp.bool_(False)
+
+    def markers(self, s: Sensors, state: ArmAssistState):
+        return s["wrist_target_pos"]

@@ -1,0 +1,95 @@
+"""Bring a spoon to the mouth without spilling: level on the way, tilted and slow at the end.
+
+Paper: task "Feeding"; reward components r_te, r_o, r_v and r_f. The spoon's up is −x of the tool
+frame, its tip is +z.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+from assistax import spatial
+from assistax.pytree import pytree
+from assistax.tasks.base import Sensors
+from assistax.tasks.rewards import approach, boltzmann, envelope, norm, orientation
+
+
+@dataclass(frozen=True)
+class FeedingConfig:
+    reach_scale: float = 2.0
+    speed: float = 0.20  # m/s, v*_app far from the mouth
+    force: float = 1.0  # N, f* of the contact term
+    # What counts as feeding, and for how long in all it must last to be a success.
+    mouth_distance: float = 0.03  # m
+    success_seconds: float = 0.5
+    # The arm starts with the spoon hanging down. Food is on the spoon once it has been level, and is
+    # lost when the spoon then tips too far while still away from the mouth.
+    level_angle: float = 0.35  # rad from upright
+    spill_angle: float = 0.7854  # rad from upright
+    spill_distance: float = 0.1  # m
+
+
+@pytree
+class FeedingState:
+    loaded: jax.Array  # bool: the spoon has been level
+    spilled: jax.Array  # bool: and has tipped since
+    mouth_seconds: jax.Array  # at the mouth, with the food
+
+
+class Feeding:
+    name: ClassVar[str] = "feeding"
+    title: ClassVar[str] = "Feed a person with a spoon"
+    config_type = FeedingConfig
+
+    def __init__(self, config: FeedingConfig, model: mujoco.MjModel, dt: float):
+        self.config, self.dt = config, dt
+
+    def reset(self, key) -> FeedingState:
+        """Nothing is drawn: the mouth is where the head is."""
+        return FeedingState(jnp.bool_(False), jnp.bool_(False), jnp.float32(0.0))
+
+    def observe(self, s: Sensors, state: FeedingState):
+        vector = s["mouth_pos"] - s["tool_pos"]
+        rotation = spatial.matrix(s["tool_quat"]).T @ spatial.matrix(s["mouth_quat"])
+        return {
+            "mouth_pos": s["mouth_pos"],
+            "target_vector": vector,
+            "target_distance": norm(vector)[None],
+            "target_rotation": rotation.ravel(),
+        }
+
+    def reward_terms(self, s: Sensors, state: FeedingState):
+        c = self.config
+        vector, tool = s["mouth_pos"] - s["tool_pos"], spatial.matrix(s["tool_quat"])
+        return {
+            "reach": c.reach_scale * envelope(norm(vector)),
+            "orientation": orientation(vector, up=-tool[:, 0], tip=tool[:, 2]),
+            "approach": approach(norm(s["tool_vel"]), norm(vector), c.speed),
+            "contact": boltzmann(norm(s["tool_force"]) / c.force),
+        }
+
+    def advance(self, s: Sensors, state: FeedingState) -> FeedingState:
+        c = self.config
+        upright = -spatial.matrix(s["tool_quat"])[2, 0]  # cosine of the tilt
+        distance = norm(s["mouth_pos"] - s["tool_pos"])
+        loaded = state.loaded | (upright > jnp.cos(c.level_angle))
+        tipped = (upright < jnp.cos(c.spill_angle)) & (distance > c.spill_distance)
+        spilled = state.spilled | (loaded & tipped)
+        eating = loaded & ~spilled & (distance < c.mouth_distance)
+        return FeedingState(loaded, spilled, state.mouth_seconds + self.dt * eating)
+
+    def outcomes(self, state: FeedingState):
+        return {"mouth_seconds": state.mouth_seconds, "spilled": state.spilled.astype(jnp.float32)}
+
+    def success(self, state: FeedingState):
+        """Half a second at the mouth before any spill; a spill afterwards undoes it."""
+        return ~state.spilled & (state.mouth_seconds >= self.config.success_seconds)
+
+    def terminated(self, state: FeedingState):
+        return jnp.bool_(False)
+
+    def markers(self, s: Sensors, state: FeedingState):
+        return s["mouth_pos"]

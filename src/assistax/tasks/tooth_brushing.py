@@ -1,0 +1,95 @@
+"""Brush the teeth: bristles on the mouth, handle level, about 1 N, about 0.1 m/s across.
+
+Paper: task "Tooth Brushing"; reward components r_te, r_a and r_b. The bristles look along −x of the
+tool frame, the handle along −z.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import mujoco
+
+from assistax import spatial
+from assistax.pytree import pytree
+from assistax.tasks.base import Sensors
+from assistax.tasks.rewards import alignment, boltzmann, envelope, norm
+
+
+@dataclass(frozen=True)
+class ToothBrushingConfig:
+    reach_scale: float = 2.0
+    near: float = 0.05  # m, the brush term counts when the bristles are nearer than this
+    speed: float = 0.1  # m/s, v* of the brush term
+    force: float = 1.0  # N, f* of the brush term
+    # What counts as brushing, and for how long in all it must last to be a success.
+    brush_force: tuple[float, float] = (0.3, 3.0)  # N
+    brush_speed: tuple[float, float] = (0.03, 0.3)  # m/s, across
+    success_seconds: float = 2.0
+
+
+@pytree
+class ToothBrushingState:
+    brush_seconds: jax.Array
+
+
+class ToothBrushing:
+    name: ClassVar[str] = "tooth_brushing"
+    title: ClassVar[str] = "Brush a person's teeth"
+    config_type = ToothBrushingConfig
+
+    def __init__(self, config: ToothBrushingConfig, model: mujoco.MjModel, dt: float):
+        self.config, self.dt = config, dt
+
+    def reset(self, key) -> ToothBrushingState:
+        """Nothing is drawn: the mouth is where the head is."""
+        return ToothBrushingState(jnp.float32(0.0))
+
+    def observe(self, s: Sensors, state: ToothBrushingState):
+        vector = s["mouth_pos"] - s["tool_pos"]
+        rotation = spatial.matrix(s["tool_quat"]).T @ spatial.matrix(s["mouth_quat"])
+        return {
+            "mouth_pos": s["mouth_pos"],
+            "target_vector": vector,
+            "target_distance": norm(vector)[None],
+            "target_rotation": rotation.ravel(),
+        }
+
+    @staticmethod
+    def _stroke(s: Sensors):
+        """(distance to the mouth in m, speed across in m/s, force in N)."""
+        vector = s["mouth_pos"] - s["tool_pos"]
+        towards, velocity = spatial.unit(vector), s["tool_vel"]
+        return norm(vector), norm(velocity - (velocity @ towards) * towards), norm(s["tool_force"])
+
+    def reward_terms(self, s: Sensors, state: ToothBrushingState):
+        c = self.config
+        distance, speed, force = self._stroke(s)
+        tool = spatial.matrix(s["tool_quat"])
+        align = alignment(s["mouth_pos"] - s["tool_pos"], bristle=-tool[:, 0], handle=-tool[:, 2])
+        return {
+            "reach": c.reach_scale * envelope(distance),
+            "align": align * envelope(distance),
+            "brush": (distance < c.near) * boltzmann(speed / c.speed) * boltzmann(force / c.force),
+        }
+
+    def advance(self, s: Sensors, state: ToothBrushingState) -> ToothBrushingState:
+        c = self.config
+        distance, speed, force = self._stroke(s)
+        brushing = distance < c.near
+        brushing &= (c.brush_force[0] <= force) & (force <= c.brush_force[1])
+        brushing &= (c.brush_speed[0] <= speed) & (speed <= c.brush_speed[1])
+        return ToothBrushingState(state.brush_seconds + self.dt * brushing)
+
+    def outcomes(self, state: ToothBrushingState):
+        return {"brush_seconds": state.brush_seconds}
+
+    def success(self, state: ToothBrushingState):
+        return state.brush_seconds >= self.config.success_seconds
+
+    def terminated(self, state: ToothBrushingState):
+        return jnp.bool_(False)
+
+    def markers(self, s: Sensors, state: ToothBrushingState):
+        return s["mouth_pos"]
