@@ -4,6 +4,7 @@ import assistax
 env = assistax.make("scratch")
 """
 
+import ctypes
 import os
 import sys
 from typing import TYPE_CHECKING
@@ -14,8 +15,13 @@ if TYPE_CHECKING:
     from assistax.env import Env, EnvConfig, EnvState, make
     from assistax.tasks import TASKS
 
-if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-    os.environ.setdefault("MUJOCO_GL", "egl")  # headless rendering; MuJoCo reads it when first imported
+if sys.platform == "linux" and not os.environ.get("DISPLAY") and "MUJOCO_GL" not in os.environ:
+    # Headless rendering. MuJoCo reads this when first imported, and fails then if the library is missing.
+    try:
+        ctypes.CDLL("libEGL.so.1")
+        os.environ["MUJOCO_GL"] = "egl"
+    except OSError:
+        pass  # everything but rendering works, which says what to install
 
 __all__ = ["TASKS", "AssistaxError", "Env", "EnvConfig", "EnvState", "SimulationError", "UsageError", "make"]
 

@@ -9,6 +9,7 @@ learning_curve.png    summary.json    rollout.mp4
 import dataclasses
 import json
 import signal
+import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -240,7 +241,10 @@ class Run:
         rows = self.metrics()
         title = f"{config.task}, {config.algorithm} ({config.preset} preset), {steps / 1e6:.1f} M steps"
         learning_curve(rows, title, self.folder / "learning_curve.png")
-        self.film(results[0], typical(results[0]), self.folder / "rollout.mp4")
+        try:
+            self.film(results[0], typical(results[0]), self.folder / "rollout.mp4")
+        except UsageError as error:  # a machine that cannot render can still train
+            print(f"No film: {error}", file=sys.stderr)
         return summary
 
     def film(self, result: dict[str, Any], episode: int, path: Path, **camera) -> None:
