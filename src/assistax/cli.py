@@ -149,13 +149,15 @@ def render(
     """
     from assistax.errors import choose
     from assistax.evaluation import EVALUATION_SEED, play
-    from assistax.viewing import film
+    from assistax.viewing import check_format, film
 
     choose("view", view, ["main", "close"])
+    if out is not None:
+        check_format(out)
+        if not out.parent.is_dir():
+            raise UsageError(f"The folder {out.parent} of --out does not exist.")
     env, teams, _ = _teams(target, policy, engine)
     path = out or Path(f"{env.name}.mp4")
-    if not path.parent.is_dir():
-        raise UsageError(f"The folder {path.parent} of --out does not exist.")
     result = play(env, teams[0], 1, EVALUATION_SEED if seed is None else seed)
     on = result["playing"][0]
     film(

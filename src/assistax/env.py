@@ -255,13 +255,13 @@ class Env:
         return np.array([self._slices[prefix + joint].start for joint in joints])
 
     def _draw(self, key) -> _Start:
-        task_key, person_key, key = jax.random.split(key, 3)
+        task_key, person_key, phase_key, key = jax.random.split(key, 4)
         person = self.config.human.draw(person_key)
         overrides = self._body.overrides(person.disability) if self.config.human.disabled else {}
         noise = jax.random.uniform(key, (2, self.model.nq), minval=-1.0, maxval=1.0) * self._noise
         limits = overrides.get("jnt_range", jnp.asarray(self.model.jnt_range))
         qpos = jnp.clip(self._start + noise[0], limits[:, 0], limits[:, 1])
-        phase = jax.random.uniform(person_key, (self.action_sizes["human"],), maxval=2.0 * jnp.pi)
+        phase = jax.random.uniform(phase_key, (self.action_sizes["human"],), maxval=2.0 * jnp.pi)
         return _Start(qpos, noise[1], self.task.reset(task_key), person, phase, overrides)
 
     def _begin(self, physics: PhysicsState, start: _Start, t) -> EnvState:

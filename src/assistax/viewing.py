@@ -44,12 +44,17 @@ class Camera:
         return self._renderer.render()
 
 
+def check_format(path: Path) -> None:
+    """Raise UsageError unless `film` can write such a file."""
+    if path.suffix not in FILM_FORMATS:
+        raise UsageError(f"Can write {', '.join(FILM_FORMATS)}, not {path.name!r}.")
+
+
 def film(task: str, qpos: np.ndarray, markers: np.ndarray, dt: float, path: Path, **camera) -> None:
     """Film qpos [T, nq] with targets [T, 3], dt s apart, as .mp4 or .webp; for .png the last moment."""
     import imageio.v3 as iio
 
-    if path.suffix not in FILM_FORMATS:
-        raise UsageError(f"Can write {', '.join(FILM_FORMATS)}, not {path.name!r}.")
+    check_format(path)
     with Camera(task, **camera) as cam:
         if path.suffix == ".png":
             iio.imwrite(path, cam.picture(qpos[-1], markers[-1]))
