@@ -19,7 +19,7 @@ SMALL += ["env.episode_length=16", "ppo.hidden=(8,8)"]
 
 def assistax(*args, check=True, cwd=None):
     command = [sys.executable, "-m", "assistax.cli", *map(str, args)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False, timeout=300)
     if check:
         assert done.returncode == 0, done.stderr
     return done
@@ -130,7 +130,7 @@ def test_an_interrupted_run_goes_on(how, tmp_path):
         (["train", "scratch", "--set", "ppo.learning_rate"], "NAME=VALUE"),
         (["train", "scratch", "--set", "ppo.gamma=2"], r"ppo.gamma must be in [0, 1]"),
         (["train", "scratch", "--num-envs", "0"], "num_envs must be 1 or more"),
-        (["train", "scratch", "--num-envs", "7"], "do not divide"),
+        (["train", "scratch", "--num-envs", "3", "--set", "ppo.num_minibatches=7"], "do not divide"),
         (["train", "--resume", "nowhere"], "not a run folder"),
         (["train", "--resume", "x", "--seed", "3"], "leave out seed"),
         (["evaluate", "scratch"], "--policy"),
