@@ -36,7 +36,7 @@ def train(
     Writes one folder: config.json, metrics.jsonl, checkpoints/, learning_curve.png, summary.json and
     rollout.mp4. Ctrl-C saves and stops; `--resume RUN` goes on where it stopped, to the bit.
 
-    Examples:
+    For example:
       assistax train scratch
       assistax train scratch --preset paper --steps 40000000 --num-seeds 3
       assistax train scratch --set ppo.learning_rate=1e-3 env.torque_scale=0.5
@@ -93,7 +93,7 @@ def evaluate(
 ) -> None:
     """Play whole episodes on fixed seeds; print means with 95 % confidence intervals.
 
-    Examples:
+    For example:
       assistax evaluate runs/scratch-ippo-0
       assistax evaluate scratch --policy expert
       assistax evaluate scratch --policy random --json
@@ -132,7 +132,7 @@ def render(
 ) -> None:
     """Film one episode.
 
-    Examples:
+    For example:
       assistax render runs/scratch-ippo-0
       assistax render scratch --policy still --out scratch.png --width 1280 --height 960
 
