@@ -125,10 +125,8 @@ def test_weakness_scales_torque_and_limited_range_limits_motion(play):
         np.testing.assert_allclose(weak["torque_human"], 0.4 * healthy["torque_human"], rtol=1e-4)
         # Strength shows at once, before the limits do; the range shows in the end.
         furthest[travel(healthy)] = travel(weak, 15) / travel(healthy, 15), travel(stiff) / travel(healthy)
-    slower, shorter = furthest[max(furthest)]
-    assert slower < 0.8
-    # In arm assist the person is too weak to come near even a tenth of the range without the robot.
-    assert shorter < 0.7 or max(furthest) < 0.06
+    slower, shorter = zip(*furthest.values(), strict=True)  # by direction; one may be blocked by furniture
+    assert min(slower) < 0.8 and min(shorter) < 0.7
     limits = np.asarray(state.physics.overrides["jnt_range"])
     whole = np.asarray(play()[1].physics.overrides["jnt_range"])
     narrower = (limits[:, 1] - limits[:, 0]) < 0.11 * (whole[:, 1] - whole[:, 0])
