@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import types
 import typing
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
@@ -57,6 +58,8 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
 
 def _cast(name: str, hint: Any, value: Any) -> Any:
     kind = typing.get_origin(hint) or hint
+    if kind is types.UnionType:
+        return value  # several types will do; the dataclass itself says which values
     if kind is tuple and isinstance(value, (list, tuple)):
         inner = typing.get_args(hint)
         if Ellipsis not in inner and len(inner) != len(value):

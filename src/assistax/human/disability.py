@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from assistax.errors import UsageError, choose
+from assistax.human import spelling
 from assistax.pytree import pytree
 
 RANGES = {"tremor": (0.0, 1.0), "tremor_hz": (3.0, 7.0), "strength": (0.01, 1.0), "motion": (0.05, 1.0)}
@@ -34,7 +35,7 @@ def disability(tremor: float = 0.0, tremor_hz: float = 5.0, strength: float = 1.
         low, high = RANGES[name]
         if not low <= value <= high:
             raise UsageError(f"A disability's {name} must be in [{low:g}, {high:g}], not {value:g}.")
-    return Disability(**{name: jnp.float32(value) for name, value in values.items()})
+    return Disability(**{name: np.float32(value) for name, value in values.items()})  # ty: ignore[invalid-argument-type]
 
 
 MAGNITUDES = {"tremor": {"tremor": 0.3}, "weakness": {"strength": 0.4}, "limited_range": {"motion": 0.5}}
@@ -48,17 +49,20 @@ DISABILITIES = {  # the seven standard settings: every non-empty subset of the t
 def parse(text: str) -> Disability:
     """ "none", a standard setting ("tremor+weakness") or numbers ("strength=0.5 tremor=0.2")."""
     if "=" not in text:
-        return disability(**({} if text == "none" else DISABILITIES[choose("disability", text, DISABILITIES)]))
-    values = {}
-    for part in text.replace(",", " ").split():
-        name, _, number = part.partition("=")
-        try:
-            values[choose("part of a disability", name, RANGES)] = float(number)
-        except ValueError as error:
-            if isinstance(error, UsageError):
-                raise
-            raise UsageError(f"A disability's {name} must be a number, not {number!r}.") from None
-    return disability(**values)
+        return disability(**{"none": {}, **DISABILITIES}[choose("disability", text, ["none", *DISABILITIES])])
+    parts = spelling.read("disability", text, {name: ("a number", (1,)) for name in RANGES})
+    return disability(**{name: value for name, (value,) in parts.items()})
+
+
+def spell(person: Disability) -> str:
+    """The text that `parse` reads as this person, as short as can be."""
+    parts = {name: spelling.number(getattr(person, name)) for name in RANGES}
+    healthy = {name: spelling.number(getattr(disability(), name)) for name in RANGES}
+    parts = {name: value for name, value in parts.items() if value != healthy[name]}
+    for name, setting in {"none": {}, **DISABILITIES}.items():
+        if parts == {part: spelling.number(value) for part, value in setting.items()}:
+            return name
+    return " ".join(f"{name}={value}" for name, value in parts.items())
 
 
 def tremor(person: Disability, phase: jax.Array, seconds: jax.Array) -> jax.Array:

@@ -7,12 +7,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from assistax.errors import UsageError
+from assistax.errors import UsageError, choose
+from assistax.human import spelling
 from assistax.pytree import pytree
 
 # Most that the preference reward can add per step, so that the paper's combined maxima hold.
 BUDGET = {"scratch": 1.0, "bed_bath": 1.156, "arm_assist": 4.512, "feeding": 1.88, "tooth_brushing": 1.256}
 TOUCH = 0.1  # N, τ: a touch begins when the force rises through this
+RANGES = {"speed": (0.0, 1.0), "force": (0.0, 100.0)}  # what can be wanted
+PARTS: spelling.Parts = {
+    "speed": ("a range LEAST:MOST", (2,)),
+    "force": ("a range LEAST:MOST", (2,)),
+    "weights": ("three or four numbers SPEED,FORCE,TOUCH,ACTION", (3, 4)),
+}
+UNITS = {"speed": "m/s", "force": "N"}
+WEIGHTS = {"speed": (0.0, 1.0), "force": (0.0, 1.0), "touch": (-1.0, 0.0), "action": (0.0, 1.0)}
 NARROWEST = {"speed": 0.02, "force": 0.5}  # m/s, N: the paper's Gaussian divides by the width
 SIZE = 7  # of the observed vector
 
@@ -27,23 +36,49 @@ class Preference:
 
 
 def preference(
-    speed: tuple[float, float] = (0.06, 0.14),
-    force: tuple[float, float] = (1.5, 3.5),
-    weights: tuple[float, ...] = (0.3, 0.35, -0.03, 0.0),
+    speed: tuple[float, ...] = (0.06, 0.14),
+    force: tuple[float, ...] = (1.5, 3.5),
+    weights: tuple[float, ...] = (0.3, 0.35, -0.03),
 ) -> Preference:
-    """A Preference from plain numbers, by default the paper's; raises UsageError for an impossible one."""
+    """A Preference from plain numbers, by default the paper's; raises UsageError for an impossible one.
+
+    Args:
+      speed, force: (least, most) within RANGES and at least NARROWEST apart.
+      weights: of speed, force, touch and, if there is a fourth, action efficiency, within WEIGHTS.
+    """
     for name, (low, high) in {"speed": speed, "force": force}.items():
-        if not 0 <= low <= high - NARROWEST[name] + 1e-9:
+        least, most = RANGES[name]
+        if not least <= low <= high - NARROWEST[name] + 1e-6 <= most:
             raise UsageError(
-                f"A preferred {name} must be a range (least, most) from 0 up, at least {NARROWEST[name]} wide, "
-                f"not ({low:g}, {high:g})."
+                f"A preferred {name} must be a range LEAST:MOST within [{least:g}, {most:g}] {UNITS[name]} and "
+                f"at least {NARROWEST[name]} wide, not {low:g}:{high:g}."
             )
-    w_speed, w_force, w_touch, w_action = (*weights, 0.0)[:4]
-    if min(w_speed, w_force, w_action) < 0 or w_touch > 0:
-        raise UsageError(f"Preference weights must not be negative, the touch weight not positive: {weights}.")
-    if w_speed + w_force + w_action <= 0:
-        raise UsageError("Preference weights of speed, force and action must not all be zero.")
-    return Preference(*(jnp.asarray(x, jnp.float32) for x in (speed, force, (w_speed, w_force, w_touch, w_action))))
+    weights = (*weights, 0.0)[:4]
+    for (name, (least, most)), weight in zip(WEIGHTS.items(), weights, strict=True):
+        if not least <= weight <= most:
+            raise UsageError(f"A preference's weight of {name} must be in [{least:g}, {most:g}], not {weight:g}.")
+    w_speed, w_force, _, w_action = weights
+    if w_speed + w_force + w_action < 1e-3:
+        raise UsageError(
+            "A preference's weights of speed, force and action must not all be zero: they share the budget, "
+            "and must add up to 0.001 or more."
+        )
+    return Preference(*(np.asarray(x, np.float32) for x in (speed, force, weights)))  # ty: ignore[invalid-argument-type]
+
+
+def parse(text: str) -> Preference:
+    """ "default" (the paper's) or numbers: "speed=0.05:0.09 force=1.2:2 weights=0.3,0.35,-0.03"."""
+    if "=" not in text:
+        choose("preference", text, ["default"])
+        return preference()
+    return preference(**spelling.read("preference", text, PARTS))
+
+
+def spell(person: Preference) -> str:
+    """The text that `parse` reads as this person."""
+    speed, force = (":".join(map(spelling.number, x)) for x in (person.speed, person.force))
+    weights = ",".join(map(spelling.number, person.weights))
+    return f"speed={speed} force={force} weights={weights.removesuffix(',0')}"
 
 
 def sample(key: jax.Array) -> Preference:

@@ -1,59 +1,51 @@
-"""One person: disability and preference; and how persons are drawn."""
+"""One person: disability and preference together, as arrays and as words."""
 
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 
-from assistax.errors import choose
 from assistax.human import disability, preference
-from assistax.human.disability import DISABILITIES, Disability
+from assistax.human.disability import Disability
 from assistax.human.preference import Preference
 from assistax.pytree import pytree
 
 
 @pytree
 class HumanProfile:
-    """Travels with the environment's state; a batch may mix them."""
+    """Travels with the environment's state; a batch may mix them, a list of people is a stack of them."""
 
     disability: Disability
     preference: Preference
+    index: jax.Array  # int32: the row in the list of people from which it was drawn
 
 
 @dataclass(frozen=True)
-class HumanConfig:
-    """From whom every reset draws a person."""
+class Person:
+    """One person in the words of the command line: see `disability.parse` and `preference.parse`."""
 
-    # "none", one of the seven standard settings ("tremor+weakness"), "standard" to draw one of the
-    # seven at every reset, or numbers: "strength=0.5 tremor=0.2 tremor_hz=4 motion=0.7".
     disability: str = "none"
-    # "none": no preference reward; "default": the paper's default; "sweep": drawn at every reset.
-    preference: str = "none"
-    visibility: str = "both"  # who sees the preference: "both" (the paper), "human" or "none"
+    preference: str = "none"  # then there is no preference reward, and the profile has the paper's default
 
     def __post_init__(self):
-        choose("preference", self.preference, ["none", "default", "sweep"])
-        choose("visibility", self.visibility, ["both", "human", "none"])
-        if self.disability != "standard":
-            disability.parse(self.disability)
+        disability.parse(self.disability)
+        if self.preference != "none":
+            preference.parse(self.preference)
 
-    @property
-    def disabled(self) -> bool:
-        return self.disability != "none"
 
-    @property
-    def preferring(self) -> bool:
-        return self.preference != "none"
+def stack(people: tuple[Person, ...]) -> HumanProfile:
+    """Their profiles, every leaf [len(people), ...] in NumPy."""
+    liked = [preference.parse("default" if p.preference == "none" else p.preference) for p in people]
+    hard = [disability.parse(p.disability) for p in people]
+    stacked = (jax.tree.map(lambda *x: np.stack(x), *parts) for parts in (hard, liked))
+    return HumanProfile(*stacked, np.arange(len(people), dtype=np.int32))  # ty: ignore[invalid-argument-type]
 
-    def draw(self, key: jax.Array) -> HumanProfile:
-        """One person."""
-        which, key = jax.random.split(key)
-        if self.disability == "standard":
-            people = [disability.disability(**settings) for settings in DISABILITIES.values()]
-            stacked = jax.tree.map(lambda *x: jnp.stack(x), *people)
-            index = jax.random.randint(which, (), 0, len(people))
-            hard = jax.tree.map(lambda x: x[index], stacked)
-        else:
-            hard = disability.parse(self.disability)
-        liked = preference.sample(key) if self.preference == "sweep" else preference.preference()
-        return HumanProfile(hard, liked)
+
+def unstack(profiles: HumanProfile) -> tuple[Person, ...]:
+    """`stack`, backwards: the words for profiles [n]; raises UsageError where one is impossible."""
+    profiles = jax.tree.map(np.asarray, profiles)
+    people = []
+    for i in range(len(profiles.disability.tremor)):
+        hard, liked = (jax.tree.map(lambda x, i=i: x[i], part) for part in (profiles.disability, profiles.preference))
+        people.append(Person(disability.spell(hard), preference.spell(liked)))
+    return tuple(people)

@@ -1,0 +1,81 @@
+"""From whom every reset draws a person."""
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+
+from assistax.errors import UsageError, choose
+from assistax.human import disability, population, preference
+from assistax.human.disability import DISABILITIES
+from assistax.human.profile import HumanProfile, Person, stack
+
+
+@dataclass(frozen=True)
+class HumanConfig:
+    """From whom every reset draws a person; docs/humans.md tells it at length.
+
+    Raises UsageError for people who cannot be.
+    """
+
+    # "none", one of the seven standard settings ("tremor+weakness"), "standard" to draw one of the
+    # seven at every reset, or numbers: "strength=0.5 tremor=0.2 tremor_hz=4 motion=0.7".
+    disability: str = "none"
+    # "none": no preference reward; "default": the paper's default; "sweep": drawn at every reset;
+    # or numbers: "speed=0.05:0.09 force=1.2:2 weights=0.3,0.35,-0.03".
+    preference: str = "none"
+    # Instead of both, a list of people of whom every reset draws one: "paper630", a JSON file, or
+    # whatever else `population.people` takes. Kept in words: a run does not need the file again.
+    people: str | tuple[Person, ...] | HumanProfile = "none"
+    visibility: str = "both"  # who sees the preference: "both" (the paper), "human" or "none"
+
+    def __post_init__(self):
+        choose("visibility", self.visibility, ["both", "human", "none"])
+        if self.people != "none":
+            if (self.disability, self.preference) != ("none", "none"):
+                raise UsageError(
+                    "env.human.people says all about who the person is: leave out env.human.disability and .preference."
+                )
+            if self.people != population.PAPER:
+                object.__setattr__(self, "people", population.people(self.people))
+        if "=" in self.disability:
+            disability.parse(self.disability)
+        else:
+            choose("disability", self.disability, ["none", "standard", *DISABILITIES])
+        if "=" in self.preference:
+            preference.parse(self.preference)
+        else:
+            choose("preference", self.preference, ["none", "default", "sweep"])
+
+    @cached_property
+    def listed(self) -> tuple[Person, ...]:
+        """Of whom every reset draws one."""
+        if self.people != "none":
+            return population.people(self.people)
+        liked = "default" if self.preference == "sweep" else self.preference
+        names = DISABILITIES if self.disability == "standard" else [self.disability]
+        return tuple(Person(name, liked) for name in names)
+
+    @cached_property
+    def _profiles(self) -> HumanProfile:
+        return stack(self.listed)
+
+    @property
+    def disabled(self) -> bool:
+        return any(person.disability != "none" for person in self.listed)
+
+    @property
+    def preferring(self) -> bool:
+        return self.preference == "sweep" or any(person.preference != "none" for person in self.listed)
+
+    def draw(self, key: jax.Array) -> HumanProfile:
+        """One person, each of those listed as likely as any other."""
+        which, key = jax.random.split(key)
+        number = len(self.listed)
+        index = jax.random.randint(which, (), 0, number) if number > 1 else 0
+        person = jax.tree.map(lambda x: jnp.asarray(x)[index], self._profiles)
+        if self.preference == "sweep":
+            person = dataclasses.replace(person, preference=preference.sample(key))
+        return person
