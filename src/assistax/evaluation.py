@@ -66,10 +66,12 @@ def summarize(result: dict[str, Any]) -> dict[str, Any]:
     metrics = dict(result["metrics"])
     returns, success = metrics.pop("return"), metrics.pop("success")
     force = result["force"][result["playing"]]
+    apart = [name for name in ("task_return", "preference_return") if name in metrics]  # only with preferences
     return {
         "episodes": len(returns),
         "mean_return": float(returns.mean()),
         "return_ci": bootstrap_ci(returns),
+        **{name: _mean(metrics.pop(name)) for name in apart},
         "terms": {name: float(total.mean()) for name, total in result["terms"].items()},
         "success_rate": float(success.mean()),
         "success_ci": proportion_ci(int(success.sum()), len(success)),
@@ -79,8 +81,12 @@ def summarize(result: dict[str, Any]) -> dict[str, Any]:
             "p95": float(np.percentile(force, 95)),
             "peak": float(force.max()),
         },
-        "outcomes": {name: {"mean": float(x.mean()), "ci": bootstrap_ci(x)} for name, x in metrics.items()},
+        "outcomes": {name: _mean(x) for name, x in metrics.items()},
     }
+
+
+def _mean(x: np.ndarray) -> dict[str, Any]:
+    return {"mean": float(x.mean()), "ci": bootstrap_ci(x)}
 
 
 def typical(result: dict[str, Any]) -> int:

@@ -71,7 +71,10 @@ def film(task: str, qpos: np.ndarray, markers: np.ndarray, dt: float, path: Path
 
 
 def learning_curve(rows: list[dict], title: str, path: Path) -> None:
-    """Plot the return, the reward terms and the success rate of a run against its steps."""
+    """Plot the return, the reward terms and the success rate of a run against its steps.
+
+    With preferences also the two returns that add up to it, dashed the task's, dotted the preference's.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -79,15 +82,17 @@ def learning_curve(rows: list[dict], title: str, path: Path) -> None:
 
     figure, axes = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
     terms = sorted(rows[0]["reward"])
-    for seed in sorted({row["seed"] for row in rows}):
+    for i, seed in enumerate(sorted({row["seed"] for row in rows})):
         mine = [row for row in rows if row["seed"] == seed]
         ended = [row for row in mine if row["episodes"]]
-        label = f"seed {seed}"
-        for axis, name in ((axes[0], "return"), (axes[2], "success")):
-            axis.plot([r["steps"] / 1e6 for r in ended], [r["episode"][name] for r in ended], label=label, lw=1.2)
-        for i, term in enumerate(terms):
+        steps = [row["steps"] / 1e6 for row in ended]
+        for axis, name, words, style in _OUTCOMES:
+            if name in rows[0]["episode"]:
+                y = [row["episode"][name] for row in ended]
+                axes[axis].plot(steps, y, style, color=f"C{i}", label=f"seed {seed}{words}", lw=1.2)
+        for j, term in enumerate(terms):
             x, y = [r["steps"] / 1e6 for r in mine], [1000 * r["reward"][term] for r in mine]
-            axes[1].plot(x, y, color=f"C{i}", label=term if seed == rows[0]["seed"] else None, lw=1.2)
+            axes[1].plot(x, y, color=f"C{j}", label=term if seed == rows[0]["seed"] else None, lw=1.2)
     for axis, name in zip(axes, ("return per episode", "reward per 1000 steps, by term", "success rate"), strict=True):
         axis.set(xlabel="million env steps", title=name)
         axis.grid(alpha=0.3)
@@ -95,3 +100,11 @@ def learning_curve(rows: list[dict], title: str, path: Path) -> None:
     figure.suptitle(title, fontsize=10)
     figure.savefig(path, dpi=110)
     plt.close(figure)
+
+
+_OUTCOMES = (  # of an episode: axis, name, words and line
+    (0, "return", "", "-"),
+    (0, "task_return", ", task", "--"),
+    (0, "preference_return", ", preference", ":"),
+    (2, "success", "", "-"),
+)
