@@ -22,6 +22,7 @@ from assistax.pytree import pytree
 
 @dataclass(frozen=True)
 class PPOConfig:
+    central_critic: bool = False  # critics see the global state (MAPPO) instead of the agent's own observation (IPPO)
     learning_rate: float = 3e-4
     anneal_learning_rate: bool = False  # linearly to zero over the run
     num_steps: int = 64  # per environment and iteration

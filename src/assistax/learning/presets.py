@@ -1,41 +1,106 @@
 """Hyperparameters by name, algorithm and task, as data.
 
-`paper` holds the tables of the paper's appendix "Hyperparameters"; where they are silent, the
-defaults of PPOConfig stand. `default` holds what has been shown to work better here; so far nothing has.
+`paper` holds the two tables of the paper's appendix "Hyperparameters"; where they are silent, the
+defaults of PPOConfig and SACConfig stand. `default` holds what has been shown to work better here;
+so far nothing has.
 """
 
 from typing import Any
 
 from assistax.errors import UsageError, choose
 
-_COLUMNS = ("learning_rate", "update_epochs", "num_minibatches", "clip_eps", "entropy_coef", "num_steps")
+TASKS = ("scratch", "bed_bath", "arm_assist", "feeding", "tooth_brushing")
 
-
-def _rows(rows: dict[str, tuple]) -> dict[str, dict[str, Any]]:
-    return {task: dict(zip(_COLUMNS, row, strict=True)) for task, row in rows.items()}
-
-
-_PAPER_IPPO = _rows(
-    {
-        "scratch": (3.34e-4, 8, 16, 0.169, 1.61e-3, 64),
-        "bed_bath": (8.93e-4, 16, 8, 0.042, 6.38e-5, 64),
-        "arm_assist": (2.45e-4, 16, 8, 0.021, 1.08e-4, 64),
-        "feeding": (3.34e-4, 16, 16, 0.169, 1.61e-3, 64),
-        "tooth_brushing": (3.34e-4, 4, 16, 0.169, 1.61e-3, 64),
-    }
+_PPO = (
+    "learning_rate",  # LR
+    "update_epochs",  # Epochs
+    "num_minibatches",  # Minibatches
+    "clip_eps",  # Clip ε
+    "entropy_coef",  # Ent. Coef.
+    "num_steps",  # Num Steps, per environment and iteration
 )
-PRESETS: dict[str, dict[str, dict[str, dict[str, Any]]]] = {
-    "paper": {"ippo": _PAPER_IPPO},
-    "default": {"ippo": _PAPER_IPPO},
+_SAC = (
+    "learning_rate_actor",  # Policy LR
+    "learning_rate_critic",  # Q LR
+    "learning_rate_alpha",  # α LR
+    "tau",  # τ, of the target networks
+    "num_updates",  # SAC Updates: gradient steps per iteration
+    "num_steps",  # Rollout: steps per environment and iteration
+    "batch_size",  # Batch: transitions per gradient step
+)
+
+
+def _table(columns: tuple[str, ...], *rows: tuple) -> dict[str, dict[str, Any]]:
+    return {task: dict(zip(columns, row, strict=True)) for task, row in zip(TASKS, rows, strict=True)}
+
+
+_IPPO = _table(
+    _PPO,
+    (3.34e-4, 8, 16, 0.169, 1.61e-3, 64),
+    (8.93e-4, 16, 8, 0.042, 6.38e-5, 64),
+    (2.45e-4, 16, 8, 0.021, 1.08e-4, 64),
+    (3.34e-4, 16, 16, 0.169, 1.61e-3, 64),
+    (3.34e-4, 4, 16, 0.169, 1.61e-3, 64),
+)
+_IPPO_RNN = _table(
+    _PPO,
+    (4.39e-4, 8, 4, 0.046, 5.45e-4, 64),
+    (2.89e-3, 16, 4, 0.066, 5.73e-4, 64),
+    (4.61e-4, 8, 4, 0.253, 1.69e-3, 64),
+    (4.61e-4, 8, 8, 0.253, 1.69e-3, 64),
+    (1.25e-4, 16, 16, 0.130, 2.39e-3, 64),
+)
+_MAPPO = _table(
+    _PPO,
+    (2.56e-3, 8, 4, 0.225, 3.91e-5, 128),
+    (1.12e-3, 16, 8, 0.150, 2.90e-3, 128),
+    (1.54e-3, 16, 4, 0.271, 7.95e-4, 128),
+    (1.54e-3, 4, 16, 0.271, 7.95e-4, 128),
+    (4.61e-4, 8, 16, 0.253, 1.69e-3, 128),
+)
+_MAPPO_RNN = _table(
+    _PPO,
+    (4.61e-4, 4, 8, 0.253, 1.69e-3, 128),
+    (1.04e-4, 16, 16, 0.068, 4.25e-5, 128),
+    (4.61e-4, 8, 16, 0.253, 1.69e-3, 128),
+    (2.56e-3, 8, 8, 0.225, 3.91e-5, 128),
+    (2.56e-3, 4, 8, 0.225, 3.91e-5, 128),
+)
+_MASAC = _table(
+    _SAC,
+    (5.62e-5, 1.78e-3, 2.52e-4, 2.73e-4, 32, 8, 512),
+    (5.62e-5, 1.78e-3, 2.52e-4, 2.73e-4, 64, 8, 512),
+    (2.34e-4, 1.37e-5, 1.98e-4, 1.08e-2, 64, 8, 512),
+    (5.62e-5, 1.78e-3, 2.52e-4, 2.73e-4, 128, 8, 128),
+    (5.62e-5, 1.78e-3, 2.52e-4, 2.73e-4, 32, 8, 128),
+)
+_PAPER = {
+    "ippo": _IPPO,
+    "ippo_rnn": _IPPO_RNN,
+    "mappo": _MAPPO,
+    "mappo_rnn": _MAPPO_RNN,
+    "masac": _MASAC,
+    "isac": _MASAC,  # not in the paper
 }
-ALGORITHMS = ("ippo",)
+PRESETS: dict[str, dict[str, dict[str, dict[str, Any]]]] = {"paper": _PAPER, "default": _PAPER}
+
+# What makes an algorithm of a trainer: do its critics see the whole team?
+ALGORITHMS = {
+    "ippo": {"central_critic": False},
+    "mappo": {"central_critic": True},
+    "masac": {"central_critic": True},
+    "isac": {"central_critic": False},
+}
 
 
-def preset(name: str, algorithm: str, task: str) -> dict[str, Any]:
+def preset(name: str, algorithm: str, task: str, recurrent: bool = False) -> dict[str, Any]:
     """The settings of a preset, by field of the algorithm's configuration."""
     choose("preset", name, PRESETS)
-    choose("algorithm", algorithm, ALGORITHMS)
-    tasks = PRESETS[name][algorithm]
+    switches = ALGORITHMS[choose("algorithm", algorithm, ALGORITHMS)]
+    row = f"{algorithm}_rnn" if recurrent else algorithm
+    if row not in PRESETS[name]:
+        raise UsageError(f"{algorithm} has no recurrent networks; leave out --recurrent.")
+    tasks = PRESETS[name][row]
     if task not in tasks:
         raise UsageError(f"The preset {name!r} has no {algorithm} settings for {task!r}; it has {', '.join(tasks)}.")
-    return dict(tasks[task])
+    return tasks[task] | switches
