@@ -20,11 +20,11 @@ _PPO = (
     "num_steps",  # Num Steps, per environment and iteration
 )
 _SAC = (
-    "learning_rate_actor",  # Policy LR
-    "learning_rate_critic",  # Q LR
-    "learning_rate_alpha",  # α LR
+    "actor_learning_rate",  # Policy LR
+    "critic_learning_rate",  # Q LR
+    "alpha_learning_rate",  # α LR
     "tau",  # τ, of the target networks
-    "num_updates",  # SAC Updates: gradient steps per iteration
+    "updates",  # SAC Updates: gradient steps per iteration
     "num_steps",  # Rollout: steps per environment and iteration
     "batch_size",  # Batch: transitions per gradient step
 )
@@ -88,8 +88,8 @@ PRESETS: dict[str, dict[str, dict[str, dict[str, Any]]]] = {"paper": _PAPER, "de
 ALGORITHMS = {
     "ippo": {"central_critic": False},
     "mappo": {"central_critic": True},
-    "masac": {"central_critic": True},
-    "isac": {"central_critic": False},
+    "masac": {"joint_critics": True},
+    "isac": {"joint_critics": False},
 }
 
 
