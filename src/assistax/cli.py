@@ -40,6 +40,7 @@ def train(
       assistax train scratch
       assistax train scratch --preset paper --steps 40000000 --num-seeds 3
       assistax train scratch --set ppo.learning_rate=1e-3 env.torque_scale=0.5
+      assistax train scratch --set env.human.disability=tremor+weakness env.human.preference=sweep
       assistax train --resume runs/scratch-ippo-0
 
     Args:
@@ -52,7 +53,8 @@ def train(
       engine: auto (default), mujoco, warp or mjx.
       preset: hyperparameters: default, or paper for the paper's table.
       out: run folder (default runs/TASK-ALGORITHM-SEED, with a number if taken).
-      set: change any setting in config.json, for example ppo.gamma=0.98 or task_config.force=2.
+      set: change any setting in config.json, for example ppo.gamma=0.98 or task_config.force=2. Who the
+        person is, see `assistax humans --help`: env.human.disability, .preference, .people, .visibility.
       resume: continue this run folder; --steps may prolong it.
     """
     from assistax.config import parse_assignments
@@ -89,6 +91,7 @@ def evaluate(
     episodes: int = 64,
     engine: str | None = None,
     seed: int | None = None,
+    set: Set = (),
     json: Json = False,
 ) -> None:
     """Play whole episodes on fixed seeds; print means with 95 % confidence intervals.
@@ -97,6 +100,7 @@ def evaluate(
       assistax evaluate runs/scratch-ippo-0
       assistax evaluate scratch --policy expert
       assistax evaluate scratch --policy random --json
+      assistax evaluate runs/scratch-ippo-0 --set env.human.disability=weakness
 
     Args:
       target: a run folder, or a task together with --policy.
@@ -105,11 +109,13 @@ def evaluate(
       episodes: how many (intervals are over them).
       engine: auto, mujoco, warp or mjx (default: as the run, else auto).
       seed: of the evaluation's draws; fixed unless given.
+      set: change any setting of the run or task. Who the person is, see `assistax humans --help`:
+        env.human.disability, .preference, .people, .visibility.
       json: print JSON instead of a table.
     """
     from assistax.evaluation import EVALUATION_SEED, play, summarize
 
-    env, teams, about = _teams(target, policy, engine)
+    env, teams, about = _teams(target, policy, engine, set)
     start = EVALUATION_SEED if seed is None else seed
     results = [summarize(play(env, team, episodes, start)) for team in teams]
     if json:
@@ -126,6 +132,7 @@ def render(
     policy: str | None = None,
     engine: str | None = None,
     seed: int | None = None,
+    set: Set = (),
     width: int = 640,
     height: int = 480,
     view: str = "main",
@@ -143,6 +150,7 @@ def render(
         or comes toward the tool: offer, or away from it: withdraw).
       engine: auto, mujoco, warp or mjx (default: as the run, else auto).
       seed: of the episode's draws; fixed unless given.
+      set: change any setting of the run or task, as in `assistax evaluate`.
       width: of the picture in pixels.
       height: of the picture in pixels.
       view: camera: main or close.
@@ -156,7 +164,7 @@ def render(
         check_format(out)
         if not out.parent.is_dir():
             raise UsageError(f"The folder {out.parent} of --out does not exist.")
-    env, teams, _ = _teams(target, policy, engine)
+    env, teams, _ = _teams(target, policy, engine, set)
     path = out or Path(f"{env.name}.mp4")
     result = play(env, teams[0], 1, EVALUATION_SEED if seed is None else seed)
     on = result["playing"][0]
@@ -225,27 +233,46 @@ def tasks(*, json: Json = False) -> None:
     _print_json(listing)
 
 
-def humans(*, seed: int = 0, json: Json = False) -> None:
-    """List the standard disabilities and a person drawn from the paper's preference sweep, in words.
+def humans(*, people: str | None = None, seed: int = 0, json: Json = False) -> None:
+    """Say who the person can be: the seven standard disabilities, and a preference in words.
 
     Any of them can be trained with or evaluated on:
-      assistax train scratch --set env.human.disability=tremor+weakness env.human.preference=sweep
+      assistax train scratch --set env.human.disability=tremor+weakness env.human.preference=default
       assistax train scratch --set "env.human.disability=strength=0.5 tremor=0.2 tremor_hz=4 motion=0.7"
+      assistax train scratch --set "env.human.preference=speed=0.05:0.09 force=1.2:2 weights=0.3,0.35,-0.03"
+
+    Or drawn at every reset: one of the seven and a preference of the paper's sweep; one of the paper's
+    population of 630; one of your own list. The robot may be kept from seeing the preference:
+      assistax train scratch --set env.human.disability=standard env.human.preference=sweep
+      assistax train scratch --set env.human.people=paper630 env.human.visibility=human
+      assistax humans --people paper630 --json > people.json
+      assistax train scratch --set env.human.people=people.json
 
     Args:
+      people: list these instead: paper630 or a JSON file.
       seed: of the drawn preference.
-      json: print JSON.
+      json: print JSON; with --people in the form of such a file.
     """
     import jax
 
-    from assistax.human import DISABILITIES, preference
-    from assistax.human.disability import RANGES
+    from assistax.human import DISABILITIES, disability, population, preference
 
+    if people is not None:
+        listed = population.people(people)
+        if json:
+            _print_json([vars(person) for person in listed])
+            return
+        for i, person in enumerate(listed):
+            words = "" if person.preference == "none" else preference.describe(preference.parse(person.preference))
+            print(f"{i:4} {person.disability:34} {words}")
+        return
     liked = preference.sample(jax.random.key(seed))
     words = preference.describe(liked)
     if json:
         vector = [round(float(x), 4) for x in preference.vector(liked)]
-        _print_json({"disabilities": DISABILITIES, "ranges": RANGES, "preference": vector, "words": words})
+        ranges = {"disability": disability.RANGES, "preference": preference.RANGES, "weights": preference.WEIGHTS}
+        drawn = {"preference": vector, "spelling": preference.spell(liked), "words": words}
+        _print_json({"disabilities": DISABILITIES, "ranges": ranges, **drawn})
         return
     for name, parts in DISABILITIES.items():
         print(f"{name:34} {' '.join(f'{part}={value:g}' for part, value in parts.items())}")
@@ -314,23 +341,28 @@ def main() -> None:
     except AssistaxError as error:
         print(f"assistax: {error}", file=sys.stderr)
         sys.exit(2)
+    except BrokenPipeError:  # the reader has seen enough, as in `assistax humans --people paper630 | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _teams(target: str, policy: str | None, engine: str | None):
+def _teams(target: str, policy: str | None, engine: str | None, assignments: tuple[str, ...]):
     """(env, teams by seed, what they are) of a run folder or of a task with a scripted policy."""
-    from assistax.env import make
+    from assistax.config import parse_assignments
+    from assistax.env import Env
     from assistax.policies import scripted_team
-    from assistax.runs import Run
+    from assistax.runs import Run, configure
     from assistax.tasks import TASKS
 
+    settings = parse_assignments(assignments)
     if policy is not None:
-        env = make(target, engine or "auto")
+        config = configure(target, settings, engine=engine)
+        env = Env(target, config.engine, config.env, config.task_config)
         return env, [scripted_team(policy, env)], {"task": target, "policy": policy}
     if not Path(target).is_dir():
         if target in TASKS:
             raise UsageError(f"Say who plays {target}: --policy still, random or expert, or give a run folder.")
         raise UsageError(f"{target!r} is neither a run folder nor a task ({', '.join(TASKS)}) with --policy.")
-    run = Run.open(Path(target), engine=engine)
+    run = Run.open(Path(target), settings, engine=engine)
     return run.env, run.teams(), {"task": run.config.task, "run": target}
 
 

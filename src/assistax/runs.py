@@ -11,6 +11,7 @@ import json
 import signal
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -91,8 +92,8 @@ class Run:
         return run
 
     @classmethod
-    def open(cls, folder: Path, **changes) -> "Run":
-        """Read a run folder; `changes` replace fields of its configuration."""
+    def open(cls, folder: Path, settings: Mapping[str, Any] | None = None, **changes) -> "Run":
+        """Read a run folder; `changes` replace fields of its configuration, `settings` any by name ("ppo.gamma")."""
         path = folder / "config.json"
         if not path.exists():
             raise UsageError(f"{folder} is not a run folder: it has no config.json.")
@@ -103,7 +104,7 @@ class Run:
         except (json.JSONDecodeError, KeyError, TypeError):
             raise UsageError(f"{path} is damaged; restore it or start a new run.") from None
         changes = {name: value for name, value in changes.items() if value is not None}
-        return cls(folder, dataclasses.replace(config, **changes))
+        return cls(folder, with_settings(dataclasses.replace(config, **changes), settings or {}))
 
     # -- training ------------------------------------------------------------------------------
 
