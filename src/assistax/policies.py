@@ -14,6 +14,7 @@ import jax.numpy as jnp
 from assistax.errors import choose
 from assistax.learning.networks import mlp
 from assistax.learning.normalizer import normalize
+from assistax.learning.squashed import sample_squashed, split_head
 
 
 class Policy(Protocol):
@@ -73,6 +74,26 @@ class Actor:
         if self.deterministic:
             return mean, carry
         return mean + jnp.exp(params["actor"]["log_std"]) * jax.random.normal(key, mean.shape), carry
+
+
+@dataclass(frozen=True)
+class SquashedActor:
+    """A trained actor of SAC; params: {"actor": {"layers"}, "normalizer"}. Acts in (-1, 1)."""
+
+    activation: str = "relu"
+    normalize_obs: bool = True
+    deterministic: bool = True  # tanh of the mean
+
+    def initial_carry(self):
+        return ()
+
+    def act(self, params, carry, obs, reset, key):
+        if self.normalize_obs:
+            obs = normalize(params["normalizer"], obs)
+        mean, log_std = split_head(mlp(params["actor"]["layers"], obs, self.activation))
+        if self.deterministic:
+            return jnp.tanh(mean), carry
+        return sample_squashed(mean, log_std, key)[0], carry
 
 
 SCRIPTED = {  # by name, who plays the robot and who the human

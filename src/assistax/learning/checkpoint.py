@@ -27,7 +27,7 @@ def write_atomically(path: Path, content: bytes) -> None:
 
 def save_checkpoint(path: Path, tree: Any, metadata: dict[str, Any]) -> None:
     """Save the leaves of `tree` by their names, and `metadata` (JSON) beside them."""
-    arrays = {name: np.ascontiguousarray(_plain(leaf)) for name, leaf in _named(tree)}
+    arrays = {name: np.asarray(_plain(leaf), order="C") for name, leaf in _named(tree)}
     write_atomically(path, save(arrays, {"format": FORMAT, "about": json.dumps(metadata)}))
 
 

@@ -1,0 +1,340 @@
+"""Soft actor-critic (Haarnoja et al., 2018) for teams: MASAC and ISAC without parameter sharing.
+
+Every learning agent has an actor on its own observation. In MASAC one pair of critics judges the
+team: it sees the global observation and everybody's actions, and its soft value counts the entropy
+of every learner. In ISAC each learner has a pair of critics of its own, on its own observation and
+action. One iteration is `collect`, then `improve`; both are pure functions of a SACState, to be
+jitted with the state donated (the replay is then written in place) and, over seeds, vmapped.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import optax
+
+from assistax.errors import UsageError, choose
+from assistax.learning.log import iteration_log, step_log
+from assistax.learning.networks import ACTIVATIONS, init_mlp, mlp
+from assistax.learning.normalizer import RunningStats, init_stats, normalize, update_stats
+from assistax.learning.replay import Packing, Replay, add, init_replay, sample
+from assistax.learning.seats import Partner, Seats
+from assistax.learning.squashed import sample_squashed, split_head
+from assistax.policies import SquashedActor
+from assistax.pytree import pytree
+
+
+@dataclass(frozen=True)
+class SACConfig:
+    joint_critics: bool = True  # MASAC; without, ISAC
+    actor_learning_rate: float = 3e-4
+    critic_learning_rate: float = 1e-3
+    alpha_learning_rate: float = 3e-4  # of the temperatures
+    tau: float = 0.005  # share of the critics that moves into their targets at every update
+    num_steps: int = 8  # per environment and iteration
+    updates: int = 32  # gradient steps per iteration
+    batch_size: int = 512  # transitions per gradient step
+    gamma: float = 0.99
+    buffer_size: int = 1_000_000  # transitions; about 0.5 GB, in memory and in every checkpoint
+    warmup: int = 5_000  # transitions played with uniformly random actions, before the policy plays
+    initial_alpha: float = 1.0
+    hidden: tuple[int, ...] = (128, 128)
+    activation: str = "relu"
+    normalize_obs: bool = True
+    stagger: bool = True  # start the environments at different times of their episodes
+
+    def __post_init__(self):
+        for field in ("num_steps", "updates", "batch_size", "buffer_size"):
+            if getattr(self, field) < 1:
+                raise UsageError(f"sac.{field} must be 1 or more, not {getattr(self, field)}.")
+        if self.warmup < 0:
+            raise UsageError(f"sac.warmup must be 0 or more, not {self.warmup}.")
+        for field in ("actor_learning_rate", "critic_learning_rate", "alpha_learning_rate", "initial_alpha"):
+            if getattr(self, field) <= 0:
+                raise UsageError(f"sac.{field} must be above 0, not {getattr(self, field)}.")
+        if not 0 < self.tau <= 1:
+            raise UsageError(f"sac.tau must be in (0, 1], not {self.tau}.")
+        if not 0 <= self.gamma <= 1:
+            raise UsageError(f"sac.gamma must be in [0, 1], not {self.gamma}.")
+        choose("activation", self.activation, ACTIVATIONS)
+
+
+@pytree
+class SACState:
+    """Everything a run needs to go on exactly."""
+
+    params: dict[str, Any]  # "actor": by learner, "critic" and "target": pairs by critic, "log_alpha": by learner
+    opt_state: dict[str, Any]  # of "actor", "critic", "log_alpha"
+    normalizer: RunningStats  # of the rows that `Packing` makes
+    replay: Replay
+    env_state: Any  # [num_envs, ...]
+    obs: dict[str, jax.Array]  # agent -> [num_envs, n]
+    seated: dict[str, Any]  # who plays the seats that do not learn
+    others: dict[str, jax.Array]  # partner -> [num_envs, n], what it will do next
+    key: jax.Array
+    iteration: jax.Array  # int32
+
+
+class SAC:
+    """The trainer; holds no state. See `init`, `collect`, `improve`.
+
+    Args:
+      env: anything with the interface of `assistax.env.Env`.
+      num_envs: environments stepped side by side.
+      total_iterations: length of the run; not used, as nothing is annealed.
+      partners: who plays the seats that do not learn.
+    """
+
+    def __init__(
+        self,
+        env,
+        config: SACConfig,
+        num_envs: int,
+        total_iterations: int,
+        partners: Mapping[str, Partner] | None = None,
+    ):
+        self.env, self.config, self.num_envs = env, config, num_envs
+        self.seats = Seats(env, num_envs, partners)
+        self.learners = self.seats.learners
+        self.steps_per_iteration = num_envs * config.num_steps
+        if config.buffer_size < self.steps_per_iteration:
+            raise UsageError(
+                f"sac.buffer_size = {config.buffer_size} must hold the transitions of an iteration, "
+                f"num_envs x sac.num_steps = {num_envs} x {config.num_steps} = {self.steps_per_iteration}."
+            )
+        if config.joint_critics:  # critic -> what it sees, whose actions
+            self._critics = {"team": ("global", tuple(env.agents))}
+        else:
+            self._critics = {agent: (agent, (agent,)) for agent in self.learners}
+        self._packing = Packing(env)
+        self._target_entropy = {agent: -float(env.action_sizes[agent]) for agent in self.learners}
+        self._adam = {
+            "actor": optax.adam(config.actor_learning_rate),
+            "critic": optax.adam(config.critic_learning_rate),
+            "log_alpha": optax.adam(config.alpha_learning_rate),
+        }
+
+    def init(self, key: jax.Array) -> SACState:
+        c, env = self.config, self.env
+        key, reset_key, actor_key, critic_key, seat_key, act_key = jax.random.split(key, 6)
+        # In step, all environments would be at the same moment of the task.
+        elapsed = jnp.arange(self.num_envs) * env.episode_length // self.num_envs * c.stagger
+        obs, env_state = jax.vmap(env.reset)(jax.random.split(reset_key, self.num_envs), elapsed)
+        seated = self.seats.init(seat_key)
+        others, seated = self._partners_act(seated, env_state, obs, jnp.ones(self.num_envs, bool), act_key)
+
+        actor = {}
+        for agent, agent_key in zip(self.learners, jax.random.split(actor_key, len(self.learners)), strict=True):
+            sizes = (env.observation_sizes[agent], *c.hidden, 2 * env.action_sizes[agent])
+            actor[agent] = init_mlp(agent_key, sizes, out_scale=0.01)
+        row = self._packing.pack(jax.vmap(env.global_obs)(env_state), obs)
+        seen = self._packing.unpack(row)
+        critic = {}
+        for name, name_key in zip(self._critics, jax.random.split(critic_key, len(self._critics)), strict=True):
+            sees, agents = self._critics[name]
+            inputs = seen[sees].shape[-1] + sum(env.action_sizes[agent] for agent in agents)
+            pair = [init_mlp(k, (inputs, *c.hidden, 1), out_scale=1.0) for k in jax.random.split(name_key)]
+            critic[name] = pair
+        log_alpha = {agent: jnp.log(jnp.float32(c.initial_alpha)) for agent in self.learners}
+        params = {"actor": actor, "critic": critic, "log_alpha": log_alpha}
+        opt_state = {name: adam.init(params[name]) for name, adam in self._adam.items()}
+        params["target"] = jax.tree.map(jnp.copy, critic)
+
+        transition = {
+            "obs": row[0],
+            "next_obs": row[0],
+            "actions": {agent: jnp.zeros(size) for agent, size in env.action_sizes.items()},
+            "next_others": jax.tree.map(lambda x: x[0], others),
+            "reward": jnp.float32(0.0),
+            "terminated": jnp.bool_(False),
+        }
+        replay = init_replay(transition, c.buffer_size, self.steps_per_iteration)
+        normalizer = init_stats(row.shape[-1])
+        return SACState(params, opt_state, normalizer, replay, env_state, obs, seated, others, key, jnp.int32(0))
+
+    # -- acting --------------------------------------------------------------------------------
+
+    def policy(self, deterministic: bool) -> SquashedActor:
+        """Acts as a learner, with its `policy_params`."""
+        return SquashedActor(self.config.activation, self.config.normalize_obs, deterministic)
+
+    def policy_params(self, state: SACState) -> dict[str, Any]:
+        """By learner, the parameters for `policy`."""
+        n = state.normalizer
+        means, m2s = self._packing.unpack(n.mean), self._packing.unpack(n.m2)
+        return {
+            agent: {
+                "actor": {"layers": state.params["actor"][agent]},
+                "normalizer": RunningStats(n.count, means[agent], m2s[agent]),
+            }
+            for agent in self.learners
+        }
+
+    def collect(self, state: SACState) -> tuple[SACState, dict]:
+        """Play `num_steps` in all environments, into the replay; the batch holds only the log."""
+        env, c = self.env, self.config
+        act = jax.vmap(self.policy(deterministic=False).act, in_axes=(None, None, 0, 0, 0))
+        params = self.policy_params(state)
+        warming_up = state.iteration * self.steps_per_iteration < c.warmup
+
+        def play(carry, key):
+            env_state, obs, seated, others, t = carry
+            act_key, random_key, step_key, redraw_key, seat_key = jax.random.split(key, 5)
+            actions = dict(others)
+            for i, agent in enumerate(self.learners):
+                keys = jax.random.split(jax.random.fold_in(act_key, i), self.num_envs)
+                chosen, _ = act(params[agent], (), obs[agent], jnp.zeros(self.num_envs, bool), keys)
+                random = jax.random.uniform(jax.random.fold_in(random_key, i), chosen.shape, minval=-1.0)
+                actions[agent] = jnp.where(warming_up, random, chosen)
+            row = self._packing.pack(jax.vmap(env.global_obs)(env_state), obs)
+            step_keys = jax.random.split(step_key, self.num_envs)
+            obs, env_state, rewards, terminated, truncated, info = jax.vmap(env.step)(step_keys, env_state, actions)
+            done = terminated["__all__"] | truncated["__all__"]
+            seated = self.seats.redraw(seated, done, redraw_key)
+            next_others, seated = self._partners_act(seated, env_state, obs, done, seat_key)
+            transition = {
+                "obs": row,
+                "next_obs": self._packing.pack(info["final_global_observation"], info["final_observation"]),
+                "actions": actions,
+                # Nobody acts on the last observation of an episode; a partner's last action stands in there.
+                "next_others": jax.tree.map(partial(_where, done), others, next_others),
+                "reward": rewards[self.learners[0]],
+                "terminated": terminated["__all__"],  # not at a time limit: there the value goes on
+            }
+            log = step_log(info, done & (t >= env.episode_length * c.stagger))
+            return (env_state, obs, seated, next_others, t + 1), (transition, log)
+
+        key, rollout_key = jax.random.split(state.key)
+        start = (state.env_state, state.obs, state.seated, state.others, state.iteration * c.num_steps + 1)
+        end, (chunk, log) = jax.lax.scan(play, start, jax.random.split(rollout_key, c.num_steps))
+        env_state, obs, seated, others, _ = end
+        chunk = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), chunk)
+        state = replace(
+            state,
+            normalizer=update_stats(state.normalizer, chunk["obs"]),
+            replay=add(state.replay, chunk),
+            env_state=env_state,
+            obs=obs,
+            seated=seated,
+            others=others,
+            key=key,
+        )
+        return state, {"log": iteration_log(log)}
+
+    def _partners_act(self, seated, env_state, obs, reset, key):
+        """The partners' actions as the joints receive them, for the critics must not see more."""
+        actions, seated = self.seats.act(seated, env_state, obs, reset, key)
+        return jax.tree.map(lambda x: jnp.clip(x, -1.0, 1.0), actions), seated
+
+    # -- learning ------------------------------------------------------------------------------
+
+    def improve(self, state: SACState, batch: dict) -> tuple[SACState, dict]:
+        """`updates` gradient steps on samples of the replay; returns the means of the losses and the like."""
+        del batch  # it is in the replay
+        key, update_key = jax.random.split(state.key)
+
+        def update(carry, key):
+            sample_key, step_key = jax.random.split(key)
+            x = sample(state.replay, sample_key, self.config.batch_size)
+            return self.gradient_step(carry, x, state.normalizer, step_key)
+
+        start = (state.params, state.opt_state)
+        (params, opt_state), stats = jax.lax.scan(update, start, jax.random.split(update_key, self.config.updates))
+        state = replace(state, params=params, opt_state=opt_state, key=key, iteration=state.iteration + 1)
+        return state, jax.tree.map(jnp.mean, stats)
+
+    def gradient_step(self, learned, x: dict, normalizer: RunningStats, key: jax.Array):
+        """Critics, actors, temperatures, then targets, on transitions x [batch_size, ...].
+
+        Returns ((params, opt_state), stats by learner).
+        """
+        c = self.config
+        params, opt_state = dict(learned[0]), dict(learned[1])
+        seen, next_seen = self._see(x["obs"], normalizer), self._see(x["next_obs"], normalizer)
+        next_key, actor_key = jax.random.split(key)
+        alpha = jax.tree.map(jnp.exp, params["log_alpha"])
+
+        def descend(name, loss):
+            grads, aux = jax.grad(loss, has_aux=True)(params[name])
+            updates, opt_state[name] = self._adam[name].update(grads, opt_state[name])
+            params[name] = optax.apply_updates(params[name], updates)
+            return aux
+
+        next_actions, next_log_probs = self._draw(params["actor"], next_seen, next_key)
+        next_actions |= x["next_others"]
+        goes_on = c.gamma * (1.0 - x["terminated"])
+        targets = {}
+        for name, (_, agents) in self._critics.items():
+            value = jnp.minimum(*self._judge(name, params["target"][name], next_seen, next_actions))
+            value -= sum(alpha[agent] * next_log_probs[agent] for agent in agents if agent in self.learners)
+            targets[name] = x["reward"] + goes_on * value
+
+        def critic_loss(critics):
+            judged = {name: self._judge(name, critics[name], seen, x["actions"]) for name in critics}
+            losses = {name: sum(jnp.square(q - targets[name]).mean() for q in judged[name]) for name in judged}
+            return sum(losses.values()), (losses, {name: judged[name][0].mean() for name in judged})
+
+        critic_losses, values = descend("critic", critic_loss)
+
+        def actor_loss(actors):
+            actions, log_probs = self._draw(actors, seen, actor_key)
+            cost = sum((alpha[agent] * log_probs[agent]).mean() for agent in self.learners)
+            gain = sum(
+                jnp.minimum(*self._judge(name, pair, seen, x["actions"] | actions)).mean()
+                for name, pair in params["critic"].items()
+            )
+            return cost - gain, {agent: -log_probs[agent].mean() for agent in self.learners}
+
+        entropy = descend("actor", actor_loss)
+
+        def alpha_loss(log_alphas):
+            return temperature_loss(log_alphas, entropy, self._target_entropy), None
+
+        descend("log_alpha", alpha_loss)
+        params["target"] = move_target(params["target"], params["critic"], c.tau)
+        stats = {}
+        for agent in self.learners:
+            judge = "team" if c.joint_critics else agent
+            stats[agent] = {
+                "critic_loss": critic_losses[judge],
+                "value": values[judge],
+                "entropy": entropy[agent],
+                "alpha": alpha[agent],
+            }
+        return (params, opt_state), stats
+
+    def _see(self, row, normalizer) -> dict[str, jax.Array]:
+        """What the networks see in a row [..., width], by agent and "global"."""
+        return self._packing.unpack(normalize(normalizer, row) if self.config.normalize_obs else row)
+
+    def _draw(self, actors, seen, key) -> tuple[dict, dict]:
+        """Fresh actions [batch, n] of the learners, and their log-probabilities [batch]."""
+        actions, log_probs = {}, {}
+        for agent, agent_key in zip(self.learners, jax.random.split(key, len(self.learners)), strict=True):
+            head = split_head(mlp(actors[agent], seen[agent], self.config.activation))
+            actions[agent], log_probs[agent] = sample_squashed(*head, agent_key)
+        return actions, log_probs
+
+    def _judge(self, name, pair, seen, actions) -> list[jax.Array]:
+        """The two values [batch] that a pair of critics gives."""
+        sees, agents = self._critics[name]
+        x = jnp.concatenate([seen[sees], *(actions[agent] for agent in agents)], -1)
+        return [mlp(critic, x, self.config.activation)[..., 0] for critic in pair]
+
+
+def temperature_loss(log_alpha: dict, entropy: dict, target: dict) -> jax.Array:
+    """Its descent raises an agent's temperature where its entropy is below the target, and else lowers it."""
+    return sum(log_alpha[agent] * (entropy[agent] - target[agent]) for agent in log_alpha)
+
+
+def _where(mask: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
+    """x or y [num_envs, n] by mask [num_envs]."""
+    return jnp.where(mask[:, None], x, y)
+
+
+def move_target(target: Any, online: Any, tau: float) -> Any:
+    """Polyak averaging: target + tau (online - target)."""
+    return jax.tree.map(lambda slow, fast: slow + tau * (fast - slow), target, online)
