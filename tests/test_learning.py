@@ -1,17 +1,25 @@
-"""PPO and its parts, against numbers worked by hand and a game whose optimum is known."""
+"""PPO and its parts, against numbers worked by hand, loops in NumPy and games whose optimum is known."""
+
+import time
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from games import Cue, Meeting, Weather
 from scipy import stats as scipy_stats
 
 from assistax.errors import UsageError
+from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
 from assistax.learning.gae import gae
 from assistax.learning.networks import gaussian_entropy, gaussian_log_prob, init_mlp, mlp
 from assistax.learning.normalizer import init_stats, normalize, update_stats
 from assistax.learning.ppo import PPO, PPOConfig, clip_networks, clipped_policy_loss
-from assistax.learning.presets import PRESETS
+from assistax.learning.presets import PRESETS, preset
+from assistax.learning.sac import SACConfig
+from assistax.learning.seats import Partner, Seats
+from assistax.policies import Actor, Random, Still
+from assistax.tasks import TASKS
 
 
 def test_gae_by_hand():
@@ -65,74 +73,289 @@ def test_mlp_is_orthogonal_and_has_the_right_shape():
     assert mlp(layers, jnp.zeros((5, 8)), "tanh").shape == (5, 3)
 
 
-class Meeting:
-    """A two-agent game of five steps with a known optimum.
-
-    The context c in {-1, 1} is shown to both. The robot should play 0.5 c, the human -0.25 c and
-    the two actions of the robot should agree; reward 1 - the squared errors. Optimum: 5 an episode.
-    """
-
-    agents, episode_length = ("robot", "human"), 5
-    observation_sizes, action_sizes = {"robot": 2, "human": 1}, {"robot": 2, "human": 1}
-
-    def reset(self, key, elapsed=0):
-        c = jnp.where(jax.random.bernoulli(key), 1.0, -1.0)
-        state = {"c": c, "t": jnp.int32(0) + elapsed, "return": jnp.float32(0.0)}
-        return self._obs(state), state
-
-    def _obs(self, state):
-        return {"robot": jnp.stack([state["c"], 0.1 * state["t"]]), "human": state["c"][None]}
-
-    def step(self, key, state, actions):
-        error = jnp.sum((actions["robot"] - 0.5 * state["c"]) ** 2)
-        error += jnp.sum((actions["human"] + 0.25 * state["c"]) ** 2)
-        reward = 1.0 - error
-        end = {"c": state["c"], "t": state["t"] + 1, "return": state["return"] + reward}
-        done = end["t"] >= self.episode_length
-        _, fresh = self.reset(key)
-        state = jax.tree.map(lambda a, b: jnp.where(done, a, b), fresh, end)
-        info = {
-            "final_observation": self._obs(end),
-            "metrics": {"return": end["return"]},
-            "reward_terms": {"all": reward},
-            "fault": jnp.int32(0),
-        }
-        rewards = dict.fromkeys(self.agents, reward)
-        return self._obs(state), state, rewards, {"__all__": jnp.bool_(False)}, {"__all__": done}, info
-
-
-def test_ppo_solves_a_game_with_a_known_optimum_to_two_percent():
-    config = PPOConfig(
-        learning_rate=3e-3, num_steps=16, num_minibatches=4, hidden=(32, 32), entropy_coef=0.0, gamma=0.9
-    )
-    ppo = PPO(Meeting(), config, num_envs=64, total_iterations=120)
+def trained(game, iterations, num_envs=64, **settings):
+    """(trainer, state, stats, the last batch) after some iterations."""
+    ppo = PPO(game, PPOConfig(**settings), num_envs, iterations)
     collect, improve = jax.jit(ppo.collect), jax.jit(ppo.improve)
-    state = ppo.init(jax.random.key(0))
-    for _ in range(120):
+    state, stats, batch = ppo.init(jax.random.key(0)), {}, {}
+    for _ in range(iterations):
         state, batch = collect(state)
-        state, _ = improve(state, batch)
+        state, stats = improve(state, batch)
+    return ppo, state, stats, batch
+
+
+@pytest.mark.parametrize("variant", [{}, {"central_critic": True}, {"share_parameters": True}], ids=str)
+def test_ppo_solves_a_game_with_a_known_optimum_to_two_percent(variant):
+    quick = {"num_steps": 16, "num_minibatches": 4, "hidden": (32, 32), "entropy_coef": 0.0, "gamma": 0.9}
+    ppo, state, *_ = trained(Meeting(), 120, learning_rate=3e-3, **quick, **variant)
+    policy, params = ppo.policy(), ppo.policy_params(state)
     for c in (-1.0, 1.0):
-        obs = {"robot": jnp.array([c, 0.2]), "human": jnp.array([c])}
-        actions = {}
-        for agent, seen in ppo._seen(state.normalizer, obs).items():
-            actions[agent] = mlp(state.params[agent]["actor"]["layers"], seen, "tanh")
-        _, _, rewards, *_ = Meeting().step(
-            jax.random.key(0), {"c": jnp.float32(c), "t": jnp.int32(0), "return": jnp.float32(0)}, actions
-        )
-        assert rewards["robot"] > 0.98
+        game_state = {"c": jnp.float32(c), "t": jnp.int32(2), "return": jnp.float32(0)}
+        obs, key, first = Meeting().see(game_state), jax.random.key(0), jnp.bool_(True)
+        actions = {a: policy.act(params[a], (), obs[a], first, key)[0] for a in Meeting.agents}
+        assert Meeting().step(key, game_state, actions)[2]["robot"] > 0.98
 
 
-def test_improve_starts_from_the_rollouts_own_log_probabilities(scratch):
-    """With one epoch, one minibatch and a vanishing step, nothing may have been clipped or moved."""
-    config = PPOConfig(num_steps=30, num_minibatches=1, update_epochs=1, learning_rate=1e-9)
+def test_a_central_critic_helps_where_luck_hides_what_was_achieved():
+    quick = {"num_steps": 8, "num_minibatches": 2, "hidden": (16,), "entropy_coef": 0.0, "learning_rate": 3e-3}
+    error = {}
+    for central in (False, True):
+        ppo, state, stats, _ = trained(Weather(), 60, central_critic=central, **quick)
+        policy, params = ppo.policy(), ppo.policy_params(state)
+        mean = {
+            a: policy.act(params[a], (), jnp.ones(1), jnp.bool_(True), jax.random.key(0))[0][0] for a in Weather.agents
+        }
+        error[central] = abs(mean["human"] - 0.5) + abs(mean["robot"] + 0.5)
+        assert (stats["robot"]["explained_variance"] > 0.9) == central
+    assert error[True] < 0.1 and error[False] > 3 * error[True], error
+
+
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_a_gru_solves_what_needs_memory_and_a_feed_forward_network_cannot(recurrent):
+    """See Cue for why neither FF nor a GRU that is not reset can have more than it is asked for here."""
+    quick = {"num_steps": 20, "num_minibatches": 2, "hidden": (16,), "entropy_coef": 0.0, "gamma": 0.5}
+    *_, batch = trained(Cue(), 120, recurrent=recurrent, learning_rate=1e-2, initial_log_std=-1.0, **quick)
+    assert batch["done"].any(0).all()  # in mid-rollout, in every environment
+    later = ~np.asarray(batch["reset"])
+    reward = float(np.asarray(batch["rewards"]["robot"])[later].mean())
+    assert reward > 0.9 if recurrent else 0.1 < reward < 0.45
+
+
+# -- the update learns from the rollout's own numbers ----------------------------------------------
+
+
+def loop(net, x, carry, reset):
+    """A network with or without memory, one environment, step by step in float64: outputs and memories."""
+    net, x = jax.tree.map(lambda a: np.asarray(a, np.float64), (net, x))
+    outputs, carries = [], []
+    for now, first in zip(x, reset, strict=True):
+        for i, layer in enumerate(net["layers"]):
+            now = now @ layer["w"] + layer["b"]
+            if i + 1 < len(net["layers"]):
+                now = np.tanh(now)
+            if i == 0 and carry is not None:
+                carry = now = gru_by_the_book(net["gru"], now, np.zeros_like(carry) if first else carry)
+        outputs.append(now)
+        carries.append(carry)
+    return np.array(outputs), carries
+
+
+def gru_by_the_book(gru, x, h):
+    """One step of a GRU, gate by gate."""
+    xf, xu, xn = np.split(x @ gru["wx"] + gru["b"], 3)
+    hf, hu, hn = (h @ w for w in np.split(gru["wh"], 3, axis=1))
+    forget, update = (1.0 / (1.0 + np.exp(-z)) for z in (xf + hf, xu + hu))
+    return (1.0 - update) * np.tanh(xn + forget * (hn + gru["bh"])) + update * h
+
+
+VARIANTS = [
+    {"recurrent": r, "central_critic": c, "share_parameters": s}
+    for r, c, s in [(False, False, False), (True, False, False), (True, True, False), (False, True, True)]
+] + [{"recurrent": True, "share_parameters": True}]
+
+
+@pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: "+".join(k for k in v if v[k]) or "plain")
+def test_samples_are_what_a_step_by_step_loop_computes(variant):
+    """Log-probabilities, values and advantages of the third rollout, with ends of both kinds inside.
+
+    The loop knows nothing of batches: every environment by itself, in float64, with the padded and
+    labelled inputs that a shared network is defined by.
+    """
+    game, agents = Meeting(ending=0.2), Meeting.agents
+    ppo, state, *_ = trained(game, 2, 4, num_steps=12, num_minibatches=2, update_epochs=2, hidden=(8, 8), **variant)
+    state, batch = jax.jit(ppo.collect)(state)
+    samples, start, end = jax.jit(ppo._samples)(state, batch)
+    reset, done = np.asarray(batch["reset"]), np.asarray(batch["done"])
+    terminated = np.asarray(batch["terminated"])
+    assert (done[:-1] & ~terminated[:-1]).any() and terminated[:-1].any() and (reset[1:] == done[:-1]).all()
+    c = ppo.config
+
+    def seen(view, x, agent, width):
+        if view == "global" or not c.share_parameters:
+            x = normalize(state.normalizer[view], x)
+        else:
+            x = normalize(state.normalizer[view], x)
+            x = jnp.pad(x, ((0, 0), (0, width - x.shape[-1])))
+        if not c.share_parameters:
+            return x
+        label = jax.nn.one_hot(agents.index(agent), len(agents))
+        return jnp.concatenate([x, jnp.broadcast_to(label, (len(x), len(agents)))], -1)
+
+    for agent in agents:
+        own = state.params["shared" if c.share_parameters else agent]
+        view = "global" if c.central_critic else agent
+        n = game.action_sizes[agent]
+        log_std = np.asarray(own["actor"]["log_std"])[:n]
+        for i in range(4):
+            carries = [np.asarray(start[agent][net][i]) if c.recurrent else None for net in ("actor", "critic")]
+            x = seen(agent, batch["obs"][agent][:, i], agent, 2)
+            mean = loop(own["actor"], x, carries[0], reset[:, i])[0][:, :n]
+            expected = scipy_stats.norm(mean, np.exp(log_std)).logpdf(batch["actions"][agent][:, i]).sum(-1)
+            np.testing.assert_allclose(batch["log_probs"][agent][:, i], expected, atol=2e-5)
+            critic = own["critic"]
+            values, memories = loop(critic, seen(view, batch["obs"][view][:, i], agent, 2), carries[1], reset[:, i])
+            np.testing.assert_allclose(samples[agent]["value"][:, i], values[:, 0], atol=2e-5)
+            final = seen(view, batch["final_obs"][view][:, i], agent, 2)
+            following = [loop(critic, x[None], h, [False])[0][0, 0] for x, h in zip(final, memories, strict=True)]
+            advantage, expected = 0.0, np.zeros(12)
+            for t in reversed(range(12)):
+                ahead = 0.0 if terminated[t, i] else c.gamma * following[t]
+                delta = float(batch["rewards"][agent][t, i]) + ahead - values[t, 0]
+                advantage = delta + (0.0 if done[t, i] else c.gamma * c.gae_lambda * advantage)
+                expected[t] = advantage
+            np.testing.assert_allclose(samples[agent]["advantage"][:, i], expected, atol=1e-4)
+            if c.recurrent:
+                np.testing.assert_allclose(end[agent][i], memories[-1], atol=2e-5)
+
+
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_improve_starts_from_the_rollouts_own_numbers(scratch, recurrent):
+    """With one epoch and a vanishing step, no log-probability and no value may move."""
+    config = PPOConfig(num_steps=30, num_minibatches=2, update_epochs=1, learning_rate=1e-9, recurrent=recurrent)
     ppo = PPO(scratch, config, num_envs=4, total_iterations=1)
-    state, stats = ppo.init(jax.random.key(0)), None
+    state, stats = ppo.init(jax.random.key(0)), {}
     step = jax.jit(lambda state: ppo.improve(*ppo.collect(state)))
     for _ in range(3):
         state, stats = step(state)
     for agent in scratch.agents:
         assert float(stats[agent]["approx_kl"]) < 1e-6
         assert float(stats[agent]["clip_fraction"]) == 0.0
+        assert float(stats[agent]["value_change"]) < 1e-5
+
+
+def test_a_shared_network_has_no_dummy_dimensions():
+    """Entropy and log-probability of the human, who has one action, know nothing of the robot's second."""
+    ppo, state, *_ = trained(Meeting(), 1, 4, num_steps=8, num_minibatches=1, share_parameters=True)
+    assert set(state.params) == {"shared"} and state.params["shared"]["actor"]["log_std"].shape == (2,)
+    human, robot = (ppo.policy_params(state)[a]["actor"] for a in ("human", "robot"))
+    assert human["log_std"].shape == (1,) and robot["log_std"].shape == (2,)
+    np.testing.assert_array_equal(human["layers"][1]["w"], robot["layers"][1]["w"])
+
+
+# -- seats ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("variant", [{}, {"recurrent": True}, {"share_parameters": True}], ids=str)
+def test_a_frozen_actor_acts_exactly_as_in_the_run_that_trained_it(variant):
+    """Played again on what it saw: the log-probabilities of the run's own actions come out."""
+    ppo, state, *_ = trained(Meeting(ending=0.2), 2, 8, num_steps=12, num_minibatches=2, hidden=(8, 8), **variant)
+    before = ppo.policy_params(state)
+    _, batch = jax.jit(ppo.collect)(state)
+    # Two members: the second is the one that played, the first somebody else.
+    stacked = jax.tree.map(lambda x: jnp.stack([x + 1.0, x]), before["human"])
+    seats = Seats(ppo.env, 8, {"human": Partner(ppo.policy(), stacked, 2)})
+    seated = seats.init(jax.random.key(0))
+    carry = state.memory["human"]["actor"]
+    seated = {"human": {"index": jnp.ones(8, jnp.int32), "carry": carry}}
+    assert np.asarray(batch["reset"])[1:].any()
+    for t in range(12):
+        obs = {a: x[t] for a, x in batch["obs"].items()}
+        actions, seated = seats.act(seated, None, obs, batch["reset"][t], jax.random.key(t))
+        log_std = before["human"]["actor"]["log_std"]
+        log_prob = gaussian_log_prob(batch["actions"]["human"][t], actions["human"], log_std)
+        np.testing.assert_allclose(log_prob, batch["log_probs"]["human"][t], atol=1e-5)
+
+
+def test_a_seat_that_does_not_learn_is_left_alone():
+    """The human is played by three constant policies; only the robot has parameters, and it learns its part."""
+
+    class Constant:
+        def initial_carry(self):
+            return jnp.int32(0)  # counts the steps since the reset
+
+        def act(self, params, carry, obs, reset, key):
+            carry = jnp.where(reset, 0, carry) + 1
+            return params, carry
+
+    constants = jnp.array([[0.1], [0.2], [0.3]])
+    partners = {"human": Partner(Constant(), constants, 3)}
+    ppo = PPO(Meeting(), PPOConfig(num_steps=20, num_minibatches=2, hidden=(8,)), 64, 3, partners)
+    state = ppo.init(jax.random.key(0))
+    assert set(state.params) == set(state.normalizer) == {"robot"}
+    first = np.asarray(state.seated["human"]["index"])
+    state, batch = jax.jit(ppo.collect)(state)
+    assert set(batch["actions"]) == {"robot"}
+    np.testing.assert_array_equal(np.bincount(first, minlength=3) > 10, True)
+    # 20 steps after staggered starts all episodes of 5 steps have ended: fresh draws, counts as old as the episodes.
+    assert (np.asarray(state.seated["human"]["index"]) != first).any()
+    np.testing.assert_array_equal(state.seated["human"]["carry"] % 5, state.env_state["t"] % 5)
+    # 1 - (squared errors): what the partners' constants cost is in the rewards.
+    error = jnp.square(batch["actions"]["robot"] - 0.5 * batch["obs"]["robot"][..., :1]).sum(-1)
+    left = 1.0 - error - batch["rewards"]["robot"]  # (constant + 0.25 c)²
+    constant = jnp.sqrt(left) * 1.0
+    c = batch["obs"]["robot"][..., 0]
+    options = jnp.abs(constants[:, 0] + 0.25 * c[..., None])
+    assert float(jnp.abs(options - constant[..., None]).min(-1).max()) < 1e-3
+    state, stats = jax.jit(ppo.improve)(state, batch)
+    assert set(stats) == {"robot"}
+
+
+def test_members_are_drawn_afresh_only_where_an_episode_ended():
+    seats = Seats(Meeting(), 4000, {"robot": Partner(Still(2), jnp.zeros((5, 1)), 5)})
+    assert seats.learners == ("human",)
+    seated = seats.init(jax.random.key(0))
+    done = jnp.arange(4000) < 2000
+    drawn = seats.redraw(seated, done, jax.random.key(1))
+    old, new = (np.asarray(s["robot"]["index"]) for s in (seated, drawn))
+    np.testing.assert_array_equal(old[2000:], new[2000:])
+    for index in (old, new):
+        assert np.abs(np.bincount(index, minlength=5) - 800).max() < 120  # 800 ± 4.7 standard deviations
+    assert abs((old == new)[:2000].mean() - 0.2) < 0.05
+
+
+def test_seats_that_cannot_be_taken_are_refused():
+    still = Partner(Still(1))
+    with pytest.raises(UsageError, match="Did you mean 'human'"):
+        Seats(Meeting(), 2, {"humann": still})
+    with pytest.raises(UsageError, match="leave one to learn"):
+        Seats(Meeting(), 2, {"human": still, "robot": still})
+    with pytest.raises(UsageError, match="stacked"):
+        Partner(Still(1), jnp.zeros((3, 1)), 4)
+    with pytest.raises(UsageError, match="one member or more"):
+        Partner(Still(1), (), 0)
+
+
+def test_a_step_costs_the_same_with_630_members_as_with_two():
+    """Medians of alternating rounds in one process."""
+    layers = [jnp.ones((630, m, n)) for m, n in ((38, 128), (128, 128), (128, 3))]
+    actor = {"layers": [{"w": w, "b": w[:, 0]} for w in layers], "log_std": jnp.zeros((630, 3))}
+    obs, reset, key = {"human": jnp.ones((256, 1))}, jnp.zeros(256, bool), jax.random.key(0)
+    actor["layers"][0]["w"] = actor["layers"][0]["w"][:, :1]
+    steps = {}
+    for members in (2, 630):
+        params = jax.tree.map(lambda x, m=members: x[:m], {"actor": actor, "normalizer": ()})
+        game = Meeting()
+        seats = Seats(game, 256, {"human": Partner(Actor(normalize_obs=False), params, members)})
+        steps[members] = jax.jit(lambda s, k, seats=seats: seats.act(s, None, obs, reset, k)), seats.init(key)
+    times = {2: [], 630: []}
+    for _ in range(15):
+        for members, (act, seated) in steps.items():
+            began = time.perf_counter()
+            jax.block_until_ready(act(seated, key))
+            times[members].append(time.perf_counter() - began)
+    assert np.median(times[630][3:]) < 4.0 * np.median(times[2][3:])
+
+
+# -- resuming ---------------------------------------------------------------------------------------
+
+
+def test_resume_equals_uninterrupted_to_the_bit_with_memory_and_partners(scratch, tmp_path):
+    config = PPOConfig(num_steps=12, num_minibatches=2, update_epochs=1, hidden=(8, 8), recurrent=True)
+    partners = {"human": Partner(Random(scratch.action_sizes["human"]))}
+    ppo = PPO(scratch, config, 4, 4, partners)
+    step = jax.jit(lambda state: ppo.improve(*ppo.collect(state))[0])
+    state = jax.jit(ppo.init)(jax.random.key(0))
+    for i in range(4):
+        if i == 2:
+            save_checkpoint(tmp_path / "c", state, {})
+        state = step(state)
+    resumed = load_checkpoint(tmp_path / "c", jax.eval_shape(ppo.init, jax.random.key(0)))
+    for _ in range(2):
+        resumed = step(resumed)
+    for a, b in zip(jax.tree.leaves(state), jax.tree.leaves(resumed), strict=True):
+        if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
+            a, b = jax.random.key_data(a), jax.random.key_data(b)
+        np.testing.assert_array_equal(a, b)
 
 
 def test_only_whole_episodes_are_reported_when_starts_are_staggered():
@@ -147,13 +370,19 @@ def test_only_whole_episodes_are_reported_when_starts_are_staggered():
 
 
 def test_sizes_that_do_not_divide_are_refused():
-    with pytest.raises(UsageError, match="do not divide"):
+    with pytest.raises(UsageError, match="samples do not divide"):
         PPO(Meeting(), PPOConfig(num_steps=16, num_minibatches=7), num_envs=64, total_iterations=1)
+    with pytest.raises(UsageError, match="64 sequences do not divide"):
+        PPO(Meeting(), PPOConfig(num_steps=6, num_minibatches=3, recurrent=True), num_envs=64, total_iterations=1)
 
 
-def test_paper_preset_is_the_papers_table():
-    scratch = PRESETS["paper"]["ippo"]["scratch"]
-    assert scratch == {
+# -- the paper's tables -----------------------------------------------------------------------------
+
+
+def test_paper_presets_are_the_papers_tables():
+    """Rows picked from both tables, against the paper's own numbers."""
+    assert preset("paper", "ippo", "scratch") == {
+        "central_critic": False,
         "learning_rate": 3.34e-4,
         "update_epochs": 8,
         "num_minibatches": 16,
@@ -161,3 +390,19 @@ def test_paper_preset_is_the_papers_table():
         "entropy_coef": 1.61e-3,
         "num_steps": 64,
     }
+    row = preset("paper", "mappo", "tooth_brushing", recurrent=True)
+    assert (row["learning_rate"], row["num_steps"], row["central_critic"]) == (2.56e-3, 128, True)
+    row = preset("paper", "masac", "feeding")
+    assert (row["updates"], row["num_steps"], row["batch_size"], row["tau"]) == (128, 8, 128, 2.73e-4)
+    with pytest.raises(UsageError, match="no recurrent"):
+        preset("paper", "isac", "scratch", recurrent=True)
+
+
+def test_every_preset_is_a_valid_configuration():
+    for name, algorithms in PRESETS.items():
+        for row, tasks in algorithms.items():
+            assert set(tasks) == set(TASKS)
+            for task in tasks:
+                algorithm = row.removesuffix("_rnn")
+                settings = preset(name, algorithm, task, recurrent=row.endswith("_rnn"))
+                (SACConfig if algorithm.endswith("sac") else PPOConfig)(**settings)

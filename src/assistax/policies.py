@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from assistax.errors import choose
-from assistax.learning.networks import mlp
+from assistax.learning.networks import mlp, step
 from assistax.learning.normalizer import normalize
 from assistax.learning.squashed import sample_squashed, split_head
 
@@ -58,19 +58,20 @@ class Random:
 
 @dataclass(frozen=True)
 class Actor:
-    """A trained feed-forward actor; params: {"actor": ..., "normalizer": ...}."""
+    """A trained actor of PPO; params: {"actor": ..., "normalizer": ...}."""
 
     activation: str = "tanh"
     normalize_obs: bool = True
     deterministic: bool = True
+    memory: int = 0  # units of its GRU; 0 for none
 
     def initial_carry(self):
-        return ()
+        return jnp.zeros(self.memory) if self.memory else ()
 
     def act(self, params, carry, obs, reset, key):
         if self.normalize_obs:
             obs = normalize(params["normalizer"], obs)
-        mean = mlp(params["actor"]["layers"], obs, self.activation)
+        mean, carry = step(params["actor"], obs, carry, reset, self.activation)
         if self.deterministic:
             return mean, carry
         return mean + jnp.exp(params["actor"]["log_std"]) * jax.random.normal(key, mean.shape), carry

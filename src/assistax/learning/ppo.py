@@ -1,11 +1,12 @@
-"""Proximal policy optimisation (Schulman et al., 2017) for teams: IPPO without parameter sharing.
+"""Proximal policy optimisation (Schulman et al., 2017) for teams: IPPO and MAPPO, with and without memory.
 
-Each agent has an actor and a critic of its own, sees its own observation and is trained on the
-shared reward (the paper's IPPO, feed-forward). One iteration is `collect`, then `improve`; both are
-pure functions of a TrainState, to be jitted and, over seeds, vmapped.
+Every learning agent has an actor on its own observation and a critic of its own, which sees that
+observation too (IPPO) or the global state (MAPPO); all are trained on the shared reward. One iteration
+is `collect`, then `improve`; both are pure functions of a TrainState, to be jitted and, over seeds, vmapped.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -15,14 +16,27 @@ import optax
 
 from assistax.errors import UsageError, choose
 from assistax.learning.gae import gae
-from assistax.learning.networks import ACTIVATIONS, gaussian_entropy, gaussian_log_prob, init_mlp, mlp
+from assistax.learning.log import iteration_log, step_log
+from assistax.learning.networks import (
+    ACTIVATIONS,
+    gaussian_entropy,
+    gaussian_log_prob,
+    init_network,
+    network_of,
+    step,
+    unroll,
+)
 from assistax.learning.normalizer import init_stats, normalize, update_stats
+from assistax.learning.seats import Partner, Seats
+from assistax.policies import Actor
 from assistax.pytree import pytree
 
 
 @dataclass(frozen=True)
 class PPOConfig:
     central_critic: bool = False  # critics see the global state (MAPPO) instead of the agent's own observation (IPPO)
+    recurrent: bool = False  # a GRU of hidden[0] units after the first layer of every network
+    share_parameters: bool = False  # one actor and one critic for all learners, told who they are
     learning_rate: float = 3e-4
     anneal_learning_rate: bool = False  # linearly to zero over the run
     num_steps: int = 64  # per environment and iteration
@@ -51,6 +65,8 @@ class PPOConfig:
         for field in ("gamma", "gae_lambda"):
             if not 0 <= getattr(self, field) <= 1:
                 raise UsageError(f"ppo.{field} must be in [0, 1], not {getattr(self, field)}.")
+        if not all(size > 0 for size in self.hidden) or (not self.hidden and (self.recurrent or self.share_parameters)):
+            raise UsageError(f"ppo.hidden must be the sizes of one layer or more, not {self.hidden}.")
         choose("activation", self.activation, ACTIVATIONS)
 
 
@@ -58,11 +74,14 @@ class PPOConfig:
 class TrainState:
     """Everything a run needs to go on exactly."""
 
-    params: dict[str, Any]  # agent -> {"actor": {"layers", "log_std"}, "critic": layers}
+    params: dict[str, Any]  # learner, or "shared" -> {"actor": Network with "log_std", "critic": Network}
     opt_state: Any
-    normalizer: dict[str, Any]  # agent -> RunningStats
+    normalizer: dict[str, Any]  # what is seen, see PPO._views -> RunningStats
     env_state: Any  # [num_envs, ...]
     obs: dict[str, jax.Array]  # agent -> [num_envs, n]
+    reset: jax.Array  # [num_envs] whether obs begins an episode
+    memory: dict[str, Any]  # learner -> {"actor": carry, "critic": carry}, before obs
+    seated: dict[str, Any]  # who plays the seats that do not learn
     key: jax.Array
     iteration: jax.Array  # int32
 
@@ -74,165 +93,257 @@ class PPO:
       env: anything with the interface of `assistax.env.Env`.
       num_envs: environments stepped side by side.
       total_iterations: length of the run, for learning-rate annealing.
+      partners: by agent, who plays the seats that do not learn.
     """
 
-    def __init__(self, env, config: PPOConfig, num_envs: int, total_iterations: int):
+    def __init__(
+        self,
+        env,
+        config: PPOConfig,
+        num_envs: int,
+        total_iterations: int,
+        partners: Mapping[str, Partner] | None = None,
+    ):
         self.env, self.config, self.num_envs = env, config, num_envs
-        samples = num_envs * config.num_steps
-        if samples % config.num_minibatches:
+        self.seats = Seats(env, num_envs, partners)
+        self.learners = self.seats.learners
+        self.steps_per_iteration = num_envs * config.num_steps
+        if config.recurrent and num_envs % config.num_minibatches:
             raise UsageError(
-                f"num_envs x ppo.num_steps = {num_envs} x {config.num_steps} = {samples} samples do not divide "
-                f"into ppo.num_minibatches = {config.num_minibatches}."
+                f"num_envs = {num_envs} sequences do not divide into ppo.num_minibatches = {config.num_minibatches}."
+            )
+        if self.steps_per_iteration % config.num_minibatches:
+            raise UsageError(
+                f"num_envs x ppo.num_steps = {num_envs} x {config.num_steps} = {self.steps_per_iteration} samples do "
+                f"not divide into ppo.num_minibatches = {config.num_minibatches}."
             )
         rate = config.learning_rate
         if config.anneal_learning_rate:
             updates = total_iterations * config.update_epochs * config.num_minibatches
             rate = optax.linear_schedule(rate, 0.0, updates)
         self._adam = optax.adam(rate, eps=1e-5)
+        self._critic_sees = {agent: "global" if config.central_critic else agent for agent in self.learners}
+        self._sizes = {agent: env.observation_sizes[agent] for agent in self.learners}
+        if config.central_critic:
+            self._sizes["global"] = env.global_size
 
     def init(self, key: jax.Array) -> TrainState:
         c, env = self.config, self.env
-        key, reset_key, net_key = jax.random.split(key, 3)
-        params = {}
-        for agent, agent_key in zip(env.agents, jax.random.split(net_key, len(env.agents)), strict=True):
-            actor_key, critic_key = jax.random.split(agent_key)
-            n, m = env.observation_sizes[agent], env.action_sizes[agent]
-            layers = init_mlp(actor_key, (n, *c.hidden, m), out_scale=0.01)
-            log_std = jnp.full(m, c.initial_log_std, jnp.float32)
-            critic = init_mlp(critic_key, (n, *c.hidden, 1), out_scale=1.0)
-            params[agent] = {"actor": {"layers": layers, "log_std": log_std}, "critic": critic}
-        normalizer = {agent: init_stats(env.observation_sizes[agent]) for agent in env.agents}
+        key, reset_key, net_key, seat_key = jax.random.split(key, 4)
+        params = self._init_params(net_key)
+        normalizer = {view: init_stats(size) for view, size in self._sizes.items()}
         # In step, all environments would be at the same moment of the task in every batch.
         elapsed = jnp.arange(self.num_envs) * env.episode_length // self.num_envs * c.stagger
         obs, env_state = jax.vmap(env.reset)(jax.random.split(reset_key, self.num_envs), elapsed)
-        opt_state = self._adam.init(params)
-        return TrainState(params, opt_state, normalizer, env_state, obs, key, jnp.int32(0))
+        blank = jnp.zeros((self.num_envs, c.hidden[0])) if c.recurrent else ()
+        return TrainState(
+            params=params,
+            opt_state=self._adam.init(params),
+            normalizer=normalizer,
+            env_state=env_state,
+            obs=obs,
+            reset=jnp.ones(self.num_envs, bool),
+            memory={agent: {"actor": blank, "critic": blank} for agent in self.learners},
+            seated=self.seats.init(seat_key),
+            key=key,
+            iteration=jnp.int32(0),
+        )
+
+    def _init_params(self, key):
+        c, sizes, actions = self.config, self._sizes, self.env.action_sizes
+
+        def pair(key, seen, seen_by_critic, acts):
+            actor_key, critic_key = jax.random.split(key)
+            actor = init_network(actor_key, (seen, *c.hidden, acts), 0.01, c.recurrent)
+            actor["log_std"] = jnp.full(acts, c.initial_log_std, jnp.float32)
+            critic = init_network(critic_key, (seen_by_critic, *c.hidden, 1), 1.0, c.recurrent)
+            return {"actor": actor, "critic": critic}
+
+        if c.share_parameters:  # see network_of
+            count = len(self.learners)
+            seen = max(sizes[agent] for agent in self.learners)
+            seen_by_critic = max(sizes[view] for view in self._critic_sees.values())
+            acts = max(actions[agent] for agent in self.learners)
+            return {"shared": pair(key, seen + count, seen_by_critic + count, acts)}
+        keys = zip(self.learners, jax.random.split(key, len(self.learners)), strict=True)
+        return {a: pair(k, sizes[a], sizes[self._critic_sees[a]], actions[a]) for a, k in keys}
 
     # -- acting --------------------------------------------------------------------------------
 
-    def _seen(self, normalizer, obs):
-        """What the networks see of obs: dict of [..., n]."""
+    def _networks(self, params) -> dict[str, Any]:
+        """By learner its "actor" and its "critic"."""
+        if not self.config.share_parameters:
+            return params
+        actor, critic, count, networks = params["shared"]["actor"], params["shared"]["critic"], len(self.learners), {}
+        for i, agent in enumerate(self.learners):
+            acts = self.env.action_sizes[agent]
+            own = network_of(actor, i, count, self._sizes[agent], acts) | {"log_std": actor["log_std"][:acts]}
+            networks[agent] = {
+                "actor": own,
+                "critic": network_of(critic, i, count, self._sizes[self._critic_sees[agent]], 1),
+            }
+        return networks
+
+    def _views(self, obs, global_obs):
+        """All that networks see, by name: each learner's observation and, for central critics, "global"."""
+        everything = {agent: obs[agent] for agent in self.learners} | {"global": global_obs}
+        return {view: everything[view] for view in self._sizes}
+
+    def _seen(self, normalizer, views):
+        """`views` [..., n] as the networks see them."""
         if not self.config.normalize_obs:
-            return obs
-        return {agent: normalize(normalizer[agent], x) for agent, x in obs.items()}
+            return views
+        return {view: normalize(normalizer[view], x) for view, x in views.items()}
+
+    def policy(self, deterministic: bool = True) -> Actor:
+        """What plays the learners' seats, with `policy_params`, outside of training."""
+        c = self.config
+        return Actor(c.activation, c.normalize_obs, deterministic, c.hidden[0] if c.recurrent else 0)
+
+    def policy_params(self, state: TrainState) -> dict[str, Any]:
+        """By learner, parameters for `policy`; of `state` only params and normalizer are read."""
+        networks = self._networks(state.params)
+        return {a: {"actor": networks[a]["actor"], "normalizer": state.normalizer[a]} for a in self.learners}
 
     def collect(self, state: TrainState) -> tuple[TrainState, dict]:
         """Play `num_steps` in all environments: the batch, each array [num_steps, num_envs, ...]."""
         env, c = self.env, self.config
+        networks = self._networks(state.params)
+        global_obs = jax.vmap(env.global_obs) if c.central_critic else lambda _: None
 
         def play(carry, key):
-            env_state, obs, t = carry
-            action_key, step_key = jax.random.split(key)
-            actions, log_probs = {}, {}
-            seen = self._seen(state.normalizer, obs)
-            keys = jax.random.split(action_key, len(env.agents))
-            for agent, agent_key in zip(env.agents, keys, strict=True):
-                actor = state.params[agent]["actor"]
-                mean = mlp(actor["layers"], seen[agent], c.activation)
-                noise = jax.random.normal(agent_key, mean.shape)
-                actions[agent] = mean + jnp.exp(actor["log_std"]) * noise
+            env_state, obs, reset, memory, seated, t = carry
+            seat_key, redraw_key, step_key, *action_keys = jax.random.split(key, 3 + len(self.learners))
+            actions, seated = self.seats.act(seated, env_state, obs, reset, seat_key)
+            views = self._views(obs, global_obs(env_state))
+            seen = self._seen(state.normalizer, views)
+            memory, log_probs = dict(memory), {}
+            for agent, action_key in zip(self.learners, action_keys, strict=True):
+                actor = networks[agent]["actor"]
+                mean, memory[agent] = step(actor, seen[agent], memory[agent], reset, c.activation)
+                actions[agent] = mean + jnp.exp(actor["log_std"]) * jax.random.normal(action_key, mean.shape)
                 log_probs[agent] = gaussian_log_prob(actions[agent], mean, actor["log_std"])
             step_keys = jax.random.split(step_key, self.num_envs)
             next_obs, env_state, rewards, terminated, truncated, info = jax.vmap(env.step)(
                 step_keys, env_state, actions
             )
             done = terminated["__all__"] | truncated["__all__"]
-            step = {
-                "obs": obs,
-                "final_obs": info["final_observation"],
-                "actions": actions,
+            final = self._views(
+                info["final_observation"], info["final_global_observation"] if c.central_critic else None
+            )
+            played = {
+                "obs": views,
+                "final_obs": {view: final[view] for view in set(self._critic_sees.values())},
+                "reset": reset,
+                "actions": {agent: actions[agent] for agent in self.learners},
                 "log_probs": log_probs,
-                "rewards": rewards,
+                "rewards": {agent: rewards[agent] for agent in self.learners},
                 "terminated": terminated["__all__"],
                 "done": done,
             }
-            # Staggered first episodes are cut short; they are learned from but not reported.
-            whole = done & (t >= env.episode_length * c.stagger)
-            ended = jax.tree.map(lambda x: jnp.sum(x * whole), info["metrics"])
-            terms = jax.tree.map(jnp.mean, info["reward_terms"])
-            log = {"episodes": whole.sum(), "ended": ended, "terms": terms, "fault": info["fault"].max()}
-            return (env_state, next_obs, t + 1), (step, log)
+            log = step_log(info, done & (t >= env.episode_length * c.stagger))
+            seated = self.seats.redraw(seated, done, redraw_key)
+            return (env_state, next_obs, done, memory, seated, t + 1), (played, log)
 
         key, rollout_key = jax.random.split(state.key)
-        keys = jax.random.split(rollout_key, c.num_steps)
-        start = (state.env_state, state.obs, state.iteration * c.num_steps + 1)
-        (env_state, obs, _), (batch, log) = jax.lax.scan(play, start, keys)
-        episodes = log["episodes"].sum()
-        batch["log"] = {
-            "episodes": episodes,  # that ended in this iteration; the means below are over them
-            "episode": jax.tree.map(lambda x: x.sum() / jnp.maximum(episodes, 1), log["ended"]),
-            "reward": jax.tree.map(jnp.mean, log["terms"]),  # per step, by term
-            "fault": log["fault"].max(),
-        }
-        state = TrainState(state.params, state.opt_state, state.normalizer, env_state, obs, key, state.iteration)
+        actor_memory = {agent: state.memory[agent]["actor"] for agent in self.learners}
+        t = state.iteration * c.num_steps + 1
+        start = (state.env_state, state.obs, state.reset, actor_memory, state.seated, t)
+        end, (batch, log) = jax.lax.scan(play, start, jax.random.split(rollout_key, c.num_steps))
+        env_state, obs, reset, moved, seated, _ = end
+        batch |= {"memory": actor_memory, "log": iteration_log(log)}
+        memory = {agent: state.memory[agent] | {"actor": moved[agent]} for agent in self.learners}
+        state = replace(state, env_state=env_state, obs=obs, reset=reset, memory=memory, seated=seated, key=key)
         return state, batch
 
     # -- learning ------------------------------------------------------------------------------
 
-    def improve(self, state: TrainState, batch: dict) -> tuple[TrainState, dict]:
-        """`update_epochs` passes over the batch; returns the means of the losses and the like."""
-        c = self.config
-        samples = {}
-        for agent in self.env.agents:
-            seen = self._seen({agent: state.normalizer[agent]}, {agent: batch["obs"][agent]})[agent]
-            final = self._seen({agent: state.normalizer[agent]}, {agent: batch["final_obs"][agent]})[agent]
-            critic = state.params[agent]["critic"]
-            values, next_values = (mlp(critic, x, c.activation)[..., 0] for x in (seen, final))
-            advantages = gae(
-                batch["rewards"][agent],
-                values,
-                next_values,
-                batch["terminated"],
-                batch["done"],
-                c.gamma,
-                c.gae_lambda,
-            )
+    def _samples(self, state: TrainState, batch: dict):
+        """What the update learns from, all with the numbers of the rollout's own networks.
+
+        Returns:
+          samples [num_steps, num_envs, ...]: "obs" as networks see it, "reset" and, by learner, its
+            actions with their advantages and value targets.
+          start: the networks' carries before the first step; end: the critics' after the last one.
+        """
+        c, networks = self.config, self._networks(state.params)
+        seen, final = self._seen(state.normalizer, batch["obs"]), self._seen(state.normalizer, batch["final_obs"])
+        samples, start, end = {"obs": seen, "reset": batch["reset"]}, {}, {}
+        for agent in self.learners:
+            critic, view, carry = networks[agent]["critic"], self._critic_sees[agent], state.memory[agent]["critic"]
+            values, carries = unroll(critic, seen[view], carry, batch["reset"], c.activation)
+            # The state that a step led to is judged with that step's memory, also where a reset followed.
+            next_values, _ = step(critic, final[view], carries, jnp.zeros_like(batch["reset"]), c.activation)
+            values, next_values = values[..., 0], next_values[..., 0]
+            ends = batch["terminated"], batch["done"]
+            advantages = gae(batch["rewards"][agent], values, next_values, *ends, c.gamma, c.gae_lambda)
             samples[agent] = {
-                "obs": seen,
                 "action": batch["actions"][agent],
                 "log_prob": batch["log_probs"][agent],
                 "advantage": advantages,
                 "value": values,
                 "target": advantages + values,
             }
-        samples = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
-        count = self.num_envs * c.num_steps
+            start[agent] = {"actor": batch["memory"][agent], "critic": carry}
+            end[agent] = jax.tree.map(lambda h: h[-1], carries)
+        return samples, start, end
+
+    def improve(self, state: TrainState, batch: dict) -> tuple[TrainState, dict]:
+        """`update_epochs` passes over the batch; returns the means of the losses and the like."""
+        c = self.config
+        samples, start, end = self._samples(state, batch)
+        if not c.recurrent:  # without memory, every step is a sequence of its own
+            samples = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
+        axis = 1 if c.recurrent else 0  # of the sequences
+        sequences = samples["reset"].shape[axis]
 
         def minibatch(carry, ids):
             params, opt_state = carry
-            part = jax.tree.map(lambda x: x[ids], samples)
-            grads, stats = jax.grad(self._loss, has_aux=True)(params, part)
+            part = jax.tree.map(lambda x: jnp.take(x, ids, axis), samples)
+            part_start = jax.tree.map(lambda x: x[ids], start)
+            grads, stats = jax.grad(self._loss, has_aux=True)(params, part, part_start)
             updates, opt_state = self._adam.update(clip_networks(grads, c.max_grad_norm), opt_state)
             return (optax.apply_updates(params, updates), opt_state), stats
 
         def epoch(carry, key):
-            ids = jax.random.permutation(key, count).reshape(c.num_minibatches, -1)
+            ids = jax.random.permutation(key, sequences).reshape(c.num_minibatches, -1)
             return jax.lax.scan(minibatch, carry, ids)
 
         key, epoch_key = jax.random.split(state.key)
         carry = (state.params, state.opt_state)
-        keys = jax.random.split(epoch_key, c.update_epochs)
-        (params, opt_state), stats = jax.lax.scan(epoch, carry, keys)
+        (params, opt_state), stats = jax.lax.scan(epoch, carry, jax.random.split(epoch_key, c.update_epochs))
         stats = jax.tree.map(jnp.mean, stats)
-        for agent, s in samples.items():
-            residual = jnp.var(s["target"] - s["value"])
-            stats[agent]["explained_variance"] = 1.0 - residual / (jnp.var(s["target"]) + 1e-8)
-            stats[agent]["std"] = jnp.exp(params[agent]["actor"]["log_std"]).mean()
-        # Only now, so that every log-probability above was computed with the rollout's own numbers.
-        normalizer = {agent: update_stats(stats_, batch["obs"][agent]) for agent, stats_ in state.normalizer.items()}
-        return TrainState(params, opt_state, normalizer, state.env_state, state.obs, key, state.iteration + 1), stats
+        for agent, networks in self._networks(params).items():
+            value, target = samples[agent]["value"], samples[agent]["target"]
+            stats[agent]["explained_variance"] = 1.0 - jnp.var(target - value) / (jnp.var(target) + 1e-8)
+            stats[agent]["std"] = jnp.exp(networks["actor"]["log_std"]).mean()
+        state = replace(
+            state,
+            params=params,
+            opt_state=opt_state,
+            # Only now, so that every log-probability above was computed with the rollout's own numbers.
+            normalizer={view: update_stats(state.normalizer[view], x) for view, x in batch["obs"].items()},
+            memory={agent: state.memory[agent] | {"critic": end[agent]} for agent in self.learners},
+            key=key,
+            iteration=state.iteration + 1,
+        )
+        return state, stats
 
-    def _loss(self, params, part):
-        losses, stats = zip(*(self._agent_loss(params[a], part[a]) for a in self.env.agents), strict=True)
-        return sum(losses), dict(zip(self.env.agents, stats, strict=True))
+    def _loss(self, params, part, start):
+        losses, stats = {}, {}
+        for agent, networks in self._networks(params).items():
+            losses[agent], stats[agent] = self._agent_loss(agent, networks, part, start[agent])
+        # Shared weights learn from all agents' samples together: the mean over them.
+        return sum(losses.values()) / (len(losses) if self.config.share_parameters else 1), stats
 
-    def _agent_loss(self, params, x):
-        c = self.config
-        mean = mlp(params["actor"]["layers"], x["obs"], c.activation)
-        log_std = params["actor"]["log_std"]
+    def _agent_loss(self, agent, networks, part, start):
+        c, x, reset = self.config, part[agent], part["reset"]
+        mean, _ = unroll(networks["actor"], part["obs"][agent], start["actor"], reset, c.activation)
+        log_std = networks["actor"]["log_std"]
         log_ratio = gaussian_log_prob(x["action"], mean, log_std) - x["log_prob"]
         policy_loss = clipped_policy_loss(log_ratio, x["advantage"], c.clip_eps)
-        value = mlp(params["critic"], x["obs"], c.activation)[..., 0]
+        view = part["obs"][self._critic_sees[agent]]
+        value = unroll(networks["critic"], view, start["critic"], reset, c.activation)[0][..., 0]
         error = jnp.square(value - x["target"])
         if c.clip_value:
             near = x["value"] + jnp.clip(value - x["value"], -c.clip_eps, c.clip_eps)
@@ -245,12 +356,13 @@ class PPO:
             "entropy": entropy,
             "approx_kl": jnp.mean(jnp.expm1(log_ratio) - log_ratio),
             "clip_fraction": jnp.mean(jnp.abs(jnp.expm1(log_ratio)) > c.clip_eps),
+            "value_change": jnp.mean(jnp.abs(value - x["value"])),
         }
         return policy_loss + c.value_coef * value_loss - c.entropy_coef * entropy, stats
 
 
 def clipped_policy_loss(log_ratio: jax.Array, advantage: jax.Array, clip_eps: float) -> jax.Array:
-    """PPO's surrogate, with the advantages normalised over the minibatch [n]."""
+    """PPO's surrogate, with the advantages normalised over the minibatch [...]."""
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     ratio = jnp.exp(log_ratio)
     clipped = jnp.clip(ratio, 1.0 - clip_eps, 1.0 + clip_eps)
