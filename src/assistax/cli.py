@@ -21,6 +21,8 @@ def train(
     task: Annotated[str | None, tyro.conf.Positional] = None,
     *,
     algorithm: str | None = None,
+    recurrent: bool = False,
+    share_parameters: bool = False,
     steps: int | None = None,
     num_envs: int | None = None,
     seed: int | None = None,
@@ -39,15 +41,18 @@ def train(
     For example:
       assistax train scratch
       assistax train scratch --preset paper --steps 40000000 --num-seeds 3
+      assistax train feeding --algorithm mappo --recurrent
       assistax train scratch --set ppo.learning_rate=1e-3 env.torque_scale=0.5
       assistax train scratch --set env.human.disability=tremor+weakness env.human.preference=sweep
       assistax train --resume runs/scratch-ippo-0
 
     Args:
       task: what to do together; `assistax tasks` lists them.
-      algorithm: ippo (default).
+      algorithm: ippo (default), mappo, masac or isac.
+      recurrent: networks with memory (GRU); ippo and mappo.
+      share_parameters: one network for both, told who it plays; ippo and mappo.
       steps: environment steps per seed (default 3 million; the paper trains for 40 million).
-      num_envs: environments side by side, per seed (default 1024).
+      num_envs: environments side by side, per seed (default 1024; masac and isac 256).
       seed: first random seed (default 0).
       num_seeds: independent runs in one program, with seeds S, S+1, ... (default 1).
       engine: auto (default), mujoco, warp or mjx.
@@ -62,6 +67,7 @@ def train(
 
     if resume is not None:
         given: dict[str, Any] = {"task": task, "algorithm": algorithm, "num-envs": num_envs, "seed": seed}
+        given |= {"recurrent": recurrent or None, "share-parameters": share_parameters or None}
         given |= {"num-seeds": num_seeds, "engine": engine, "preset": preset, "out": out, "set": set or None}
         if extra := [name for name, value in given.items() if value is not None]:
             raise UsageError(f"--resume takes everything but --steps from the run; leave out {', '.join(extra)}.")
@@ -71,8 +77,10 @@ def train(
             raise UsageError("Name a task, for example: assistax train scratch. `assistax tasks` lists them.")
         choices = {"algorithm": algorithm, "preset": preset, "engine": engine, "steps": steps}
         choices |= {"num_envs": num_envs, "seed": seed, "num_seeds": num_seeds}
+        choices |= {"recurrent": recurrent, "share_parameters": share_parameters}
         config = configure(task, parse_assignments(set), **choices)
-        run = Run.create(config, out or _free_folder(f"{task}-{config.algorithm}-{config.seed}"))
+        name = f"{task}-{config.algorithm}{'-rnn' * recurrent}{'-shared' * share_parameters}-{config.seed}"
+        run = Run.create(config, out or _free_folder(name))
     print(f"{run.config.task} on the {run.env.engine.name} engine, into {run.folder}", file=sys.stderr)
     summary = run.train()
     if summary is None:

@@ -25,16 +25,25 @@ from assistax.env import Env, EnvConfig
 from assistax.errors import UsageError, choose
 from assistax.evaluation import play, summarize, typical
 from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
-from assistax.learning.ppo import PPO, PPOConfig, TrainState
+from assistax.learning.ppo import PPO, PPOConfig
 from assistax.learning.presets import ALGORITHMS, preset
+from assistax.learning.sac import SAC, SACConfig
+from assistax.learning.seeds import Seeds
 from assistax.physics import check_faults, resolve_engine
-from assistax.policies import Actor, Team
+from assistax.policies import Team
 from assistax.stamp import peak_memory_mb, stamp
 from assistax.tasks import task_class
 from assistax.viewing import film, learning_curve
 
 DEFAULT_STEPS = 3_000_000
 CHECKPOINT_SECONDS = 60.0
+# By algorithm its trainer, the group of its settings in TrainConfig, and how many environments it plays unless told.
+TRAINERS = {
+    "ippo": (PPO, "ppo", 1024),
+    "mappo": (PPO, "ppo", 1024),
+    "masac": (SAC, "sac", 256),
+    "isac": (SAC, "sac", 256),
+}
 
 
 @dataclass(frozen=True)
@@ -49,23 +58,42 @@ class TrainConfig:
     num_seeds: int = 1
     env: EnvConfig = field(default_factory=EnvConfig)
     task_config: Any = None
-    ppo: PPOConfig = field(default_factory=PPOConfig)
+    ppo: PPOConfig = field(default_factory=PPOConfig)  # of ippo and mappo
+    sac: SACConfig = field(default_factory=SACConfig)  # of masac and isac
+
+    @property
+    def group(self) -> str:
+        """The name of the settings that the algorithm has."""
+        return TRAINERS[self.algorithm][1]
 
     def __post_init__(self):
+        choose("algorithm", self.algorithm, TRAINERS)
+        for name, value in ALGORITHMS[self.algorithm].items():
+            if getattr(getattr(self, self.group), name) != value:
+                raise UsageError(f"{self.group}.{name} is {value} for {self.algorithm}; change --algorithm, not it.")
         for name in ("steps", "num_envs", "num_seeds"):
             if getattr(self, name) < 1:
                 raise UsageError(f"{name} must be 1 or more, not {getattr(self, name)}.")
 
 
-def configure(task: str, settings: dict[str, Any], **choices) -> TrainConfig:
+def configure(task: str, settings: dict[str, Any], recurrent=False, share_parameters=False, **choices) -> TrainConfig:
     """A TrainConfig from a task's preset, then `choices` (fields), then `settings` ("ppo.gamma": 0.98)."""
     cls = task_class(task)
-    choices = {name: value for name, value in choices.items() if value is not None}
-    choose("algorithm", choices.get("algorithm", "ippo"), ALGORITHMS)
-    config = TrainConfig(task, task_config=cls.config_type(), **choices)
+    given = {name: value for name, value in choices.items() if value is not None}
+    algorithm = choose("algorithm", given.get("algorithm", "ippo"), TRAINERS)
+    _, group, num_envs = TRAINERS[algorithm]
+    if foreign := [name for name in settings if name.split(".")[0] in {"ppo", "sac"} - {group}]:
+        raise UsageError(f"{foreign[0]} does not exist for {algorithm}; its settings are {group}.*.")
+    if group == "sac" and (recurrent or share_parameters):
+        raise UsageError("--recurrent and --share-parameters exist for ippo and mappo only.")
+    recurrent = recurrent or settings.get("ppo.recurrent") is True
+    switches = {"recurrent": recurrent, "share_parameters": share_parameters} if group == "ppo" else {}
+    row = preset(given.get("preset", "default"), algorithm, task, recurrent)
+    groups = {"ppo": PPOConfig(), "sac": SACConfig()}
+    fields: dict[str, Any] = {"num_envs": num_envs, group: with_settings(groups[group], row | switches)} | given
+    config = TrainConfig(task, task_config=cls.config_type(), **fields)
     resolve_engine(config.engine)
-    ppo = with_settings(config.ppo, preset(config.preset, config.algorithm, task))
-    return with_settings(dataclasses.replace(config, ppo=ppo), settings)
+    return with_settings(config, settings)
 
 
 class Run:
@@ -74,9 +102,11 @@ class Run:
     def __init__(self, folder: Path, config: TrainConfig):
         self.folder, self.config = folder, config
         self.env = Env(config.task, config.engine, config.env, config.task_config)
-        self.steps_per_iteration = config.num_envs * config.ppo.num_steps
-        self.iterations = -(-config.steps // self.steps_per_iteration)
-        self.trainer = PPO(self.env, config.ppo, config.num_envs, self.iterations)
+        trainer, settings = TRAINERS[config.algorithm][0], getattr(config, config.group)
+        self.iterations = -(-config.steps // (config.num_envs * settings.num_steps))
+        self.trainer = trainer(self.env, settings, config.num_envs, self.iterations)
+        self.steps_per_iteration = self.trainer.steps_per_iteration
+        self.seeds = Seeds(range(config.seed, config.seed + config.num_seeds))
 
     @classmethod
     def create(cls, config: TrainConfig, folder: Path) -> "Run":
@@ -110,13 +140,12 @@ class Run:
 
     def train(self) -> dict[str, Any] | None:
         """Train to the end, from the newest checkpoint if there is one; None if stopped by Ctrl-C."""
-        state, seconds = self._start()
-        done = int(state.iteration[0])
+        state, done, seconds = self._start()
         self._keep_metrics(done * self.steps_per_iteration)
-        collect, improve = (self._over_seeds(f) for f in (self.trainer.collect, self.trainer.improve))
+        collect, improve = self.seeds.jit(self.trainer.collect), self.seeds.jit(self.trainer.improve)
         total = self.iterations * self.steps_per_iteration * self.config.num_seeds
-        clock = Clock(seconds)
-        stop = Stop()
+        clock, stop, engine = Clock(seconds), Stop(), self.env.engine
+        collecting = "policy" if engine.name == "mujoco" else "collect"  # others are part of the same program
         with (
             stop,
             open(self.folder / "metrics.jsonl", "a") as log,
@@ -124,13 +153,17 @@ class Run:
         ):
             saved = time.monotonic()
             while done < self.iterations and not stop.asked:
-                with clock("collect"):
+                before = engine.seconds
+                with clock(collecting):
                     state, batch = jax.block_until_ready(collect(state))
-                check_faults(batch["log"]["fault"], self.env.engine.name)
+                clock.move(collecting, "physics", engine.seconds - before)
+                batches = self.seeds.each(batch)
+                for one in batches:
+                    check_faults(one["log"]["fault"], self.env.engine.name)
                 with clock("update"):
                     state, losses = jax.block_until_ready(improve(state, batch))
                 done += 1
-                rows = self._rows(done, clock, batch["log"], losses)
+                rows = self._rows(done, clock, [one["log"] for one in batches], self.seeds.each(losses))
                 log.write("".join(json.dumps(row) + "\n" for row in rows))
                 log.flush()
                 bar.update(total // self.iterations)
@@ -140,57 +173,46 @@ class Run:
                     success = np.mean([row["episode"]["success"] for row in ended])
                     bar.set_postfix_str(f"return {mean:.0f}, success {success:.0%}")
                 if time.monotonic() - saved > CHECKPOINT_SECONDS or done == self.iterations or stop.asked:
-                    self._save(state, clock)
+                    self._save(state, done, clock)
                     saved = time.monotonic()
         if done < self.iterations:
             return None
-        return self._finish(state, clock)
+        return self._finish(clock)
 
-    def _over_seeds(self, fn):
-        """Jit `fn` over the leading axis of seeds that every array of a run has."""
-        if self.config.num_seeds > 1:
-            return jax.jit(jax.vmap(fn))
-
-        # One seed is not worth a batched program, which CPUs run more slowly.
-        def single(*args):
-            out = fn(*jax.tree.map(lambda x: x[0], args))
-            return jax.tree.map(lambda x: x[None], out)
-
-        return jax.jit(single)
-
-    def _seed_keys(self):
-        """One key [num_seeds] per seed: run k of a batch is the run of --seed S+k alone."""
-        seeds = range(self.config.seed, self.config.seed + self.config.num_seeds)
-        return jax.numpy.stack([jax.random.key(seed) for seed in seeds])
-
-    def _start(self) -> tuple[TrainState, dict[str, float]]:
-        """The newest checkpoint's state, or a fresh one; and the seconds spent so far."""
+    def _start(self) -> tuple[Any, int, dict[str, float]]:
+        """The newest checkpoint's state, or a fresh one; the iterations done and the seconds spent so far."""
         path = self.newest_checkpoint()
-        init = self._over_seeds(self.trainer.init)
         if path is None:
-            return init(self._seed_keys()), {}
-        return load_checkpoint(path, jax.eval_shape(init, self._seed_keys())), read_metadata(path)["seconds"]
+            return self.seeds.init(self.trainer.init), 0, {}
+        about = self._check(path)
+        state = self.seeds.split(load_checkpoint(path, self.seeds.like(self.trainer.init)))
+        return state, about["steps"] // self.steps_per_iteration, about["seconds"]
+
+    def _check(self, path: Path) -> dict[str, Any]:
+        """The metadata of a checkpoint, which must be of this task and algorithm."""
+        about = read_metadata(path)
+        for name in ("task", "algorithm"):
+            if about.get(name) != getattr(self.config, name):
+                raise UsageError(f"{path} is of the {name} {about.get(name)}, not {getattr(self.config, name)}.")
+        return about
 
     def newest_checkpoint(self) -> Path | None:
         return max((self.folder / "checkpoints").glob("step_*.safetensors"), default=None)
 
-    def _save(self, state: TrainState, clock: "Clock") -> None:
-        steps = int(state.iteration[0]) * self.steps_per_iteration
+    def _save(self, state: Any, done: int, clock: "Clock") -> None:
+        steps = done * self.steps_per_iteration
         about = {"task": self.config.task, "algorithm": self.config.algorithm, "steps": steps}
         folder = self.folder / "checkpoints"
-        save_checkpoint(folder / f"step_{steps:012d}.safetensors", state, about | {"seconds": clock.seconds})
+        path = folder / f"step_{steps:012d}.safetensors"
+        save_checkpoint(path, self.seeds.join(state), about | {"seconds": clock.seconds})
         for old in sorted(folder.glob("step_*.safetensors"))[:-2]:
             old.unlink()
 
-    def _rows(self, done: int, clock: "Clock", log, losses) -> list[dict]:
+    def _rows(self, done: int, clock: "Clock", logs, losses) -> list[dict]:
         """One row of metrics.jsonl per seed."""
-        log, losses = jax.tree.map(np.asarray, (log, losses))
-        rows = []
-        for i in range(self.config.num_seeds):
-            one = jax.tree.map(lambda x, i=i: x[i].item(), (log, losses))
-            row = {"steps": done * self.steps_per_iteration, "seed": self.config.seed + i}
-            rows.append(row | {"seconds": round(sum(clock.seconds.values()), 3)} | one[0] | {"losses": one[1]})
-        return rows
+        about = {"steps": done * self.steps_per_iteration, "seconds": round(sum(clock.seconds.values()), 3)}
+        plain = jax.tree.map(lambda x: np.asarray(x).item(), list(zip(self.seeds.seeds, logs, losses, strict=True)))
+        return [about | {"seed": seed} | log | {"losses": loss} for seed, log, loss in plain]
 
     def _keep_metrics(self, steps: int) -> None:
         """Drop rows after `steps`, and a last line that a crash has torn."""
@@ -211,11 +233,12 @@ class Run:
 
     def _write_config(self) -> None:
         content = dataclasses.asdict(self.config) | {"stamp": stamp()}
+        del content[{"ppo": "sac", "sac": "ppo"}[self.config.group]]
         write_atomically(self.folder / "config.json", json.dumps(content, indent=2).encode())
 
     # -- afterwards ----------------------------------------------------------------------------
 
-    def _finish(self, state: TrainState, clock: "Clock") -> dict[str, Any]:
+    def _finish(self, clock: "Clock") -> dict[str, Any]:
         """Write summary, curve and film of a finished run; returns the summary."""
         config = self.config
         results = [play(self.env, team, 64) for team in self.teams()]
@@ -233,7 +256,7 @@ class Run:
             "success_rate": float(np.mean([one["success_rate"] for one in each])),
             "mean_return": float(np.mean([one["mean_return"] for one in each])),
             "env_steps_per_s": round(steps * config.num_seeds / max(seconds, 1e-9)),
-            "seconds": {name: round(value, 1) for name, value in clock.seconds.items()},
+            "seconds": {name: round(value, 1) for name, value in clock.seconds.items() if value},
             "peak_memory_mb": round(peak_memory_mb()),
             "evaluation": each,
             **stamp(),
@@ -265,15 +288,14 @@ class Run:
         path = self.newest_checkpoint()
         if path is None:
             raise UsageError(f"{self.folder} has no checkpoint yet.")
-        like = jax.eval_shape(self._over_seeds(self.trainer.init), self._seed_keys())
-        params = load_checkpoint(path, like.params, ".params")
-        normalizer = load_checkpoint(path, like.normalizer, ".normalizer")
-        policy = Actor(self.config.ppo.activation, self.config.ppo.normalize_obs, deterministic)
-        parts = {a: {"actor": params[a]["actor"], "normalizer": normalizer[a]} for a in self.env.agents}
-        return [
-            {a: (policy, jax.tree.map(lambda x, i=i: x[i], part)) for a, part in parts.items()}
-            for i in range(self.config.num_seeds)
-        ]
+        self._check(path)
+        like = self.seeds.like(self.trainer.init)
+        parts = {name: load_checkpoint(path, getattr(like, name), f".{name}") for name in ("params", "normalizer")}
+        policy, teams = self.trainer.policy(deterministic), []
+        for i in range(self.config.num_seeds):
+            state = dataclasses.replace(like, **jax.tree.map(lambda x, i=i: x[i], parts))
+            teams.append({agent: (policy, params) for agent, params in self.trainer.policy_params(state).items()})
+        return teams
 
 
 class Clock:
@@ -292,6 +314,11 @@ class Clock:
     def __exit__(self, *_):
         passed = time.perf_counter() - self._since
         self.seconds[self._name] = self.seconds.get(self._name, 0.0) + passed
+
+    def move(self, source: str, to: str, seconds: float) -> None:
+        """Count seconds of `source` as of `to` instead."""
+        self.seconds[source] -= seconds
+        self.seconds[to] = self.seconds.get(to, 0.0) + seconds
 
 
 class Stop:

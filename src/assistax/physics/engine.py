@@ -41,6 +41,7 @@ class Engine(ABC):
     """Pure functions on a PhysicsState, written for one environment and batched by `jax.vmap`."""
 
     name: str
+    seconds: float = 0.0  # wall time spent in it so far, where it is not part of a larger program
 
     def __init__(self, model: mujoco.MjModel, substeps: int):
         self.model, self.substeps = model, substeps
