@@ -1,6 +1,9 @@
 """Disabilities and preferences: against the paper's formulas, and as they show in the simulation."""
 
 import dataclasses
+import hashlib
+import json
+import sys
 from itertools import pairwise
 
 import jax
@@ -10,7 +13,22 @@ import pytest
 from conftest import random_actions
 
 import assistax
-from assistax.human import DISABILITIES, HumanConfig, disability, preference
+from assistax import cli, viewing
+from assistax.config import with_settings
+from assistax.env import EnvConfig
+from assistax.evaluation import evaluate
+from assistax.human import DISABILITIES, HumanConfig, Person, disability, population, preference
+from assistax.human.profile import stack, unstack
+from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
+from assistax.policies import scripted_team
+
+
+def same(tree, other):
+    """Whether two pytrees are equal to the bit."""
+    return jax.tree.all(jax.tree.map(lambda a, b: np.array_equal(a, b), tree, other))
+
+
+TASKS = ["scratch", "bed_bath", "arm_assist", "feeding", "tooth_brushing"]
 
 
 def test_liking_is_the_papers_gaussian_on_its_whole_domain():
@@ -73,90 +91,185 @@ def test_the_seven_standard_settings():
     assert kinds.shape[1] == 7
 
 
-@pytest.fixture(scope="module", params=["scratch", "bed_bath", "arm_assist", "feeding", "tooth_brushing"])
-def play(request):
-    """play(disability, action, steps): sensors by name [T, ...] while the robot is still and the human's
-    action constant; and the last state. One compilation per task: a person is data."""
-    env = assistax.make(request.param, engine="mujoco", human={"disability": "standard"}, reset_noise=0.0)
-    start = env.reset(jax.random.key(0))[1]
-    actions = {"robot": jnp.zeros(7), "human": jnp.ones(env.action_sizes["human"])}
+def test_the_papers_population_is_the_same_on_every_machine():
+    people = population.profiles()
+    assert {leaf.shape[0] for leaf in jax.tree.leaves(people)} == {630} and len(set(population.names())) == 630
+    for i, name in enumerate(DISABILITIES):
+        rows = slice(90 * i, 90 * i + 90)
+        assert population.names()[rows] == [f"{name}-{k:02d}" for k in range(90)]
+        expected = disability.parse(name)
+        for part in ("tremor", "tremor_hz", "strength", "motion"):
+            assert (getattr(people.disability, part)[rows] == getattr(expected, part)).all()
+    # The sweep again, in NumPy: from the same bits, rounded to float32 after every operation.
+    keys = jax.random.split(jax.random.key(population.SEED), 630)
+    bits = np.stack([jax.random.bits(key, (7,)) for key in keys])
+    u = ((bits >> 9) * 2.0**-23).astype(np.float32).T
+    f = np.float32
+    slow, soft = f(0.03) + f(0.05) * u[0], f(1.0) + f(1.0) * u[2]
+    fast = (slow + f(0.02)) + (f(0.2) - (slow + f(0.02))) * u[1]
+    firm = (soft + f(0.5)) + (f(5.0) - (soft + f(0.5))) * u[3]
+    weights = [f(0.1) + f(0.4) * u[4], f(0.1) + f(0.5) * u[5], f(-0.1) + f(0.09) * u[6], 0 * u[6]]
+    liked = people.preference
+    for got, expected in ((liked.speed, [slow, fast]), (liked.force, [soft, firm]), (liked.weights, weights)):
+        np.testing.assert_array_equal(got, np.stack(expected, 1))
+    content = b"".join(np.ascontiguousarray(leaf).tobytes() for leaf in jax.tree.leaves(people))
+    assert hashlib.sha256(content).hexdigest() == "c7bafba72df528e798b8f428805dc62ecf63823fe49ca810ff986b0f212eab3a"
 
-    def roll(state, action):
+
+def test_words_and_numbers_are_the_same_people():
+    people = population.profiles()
+    for here, there in zip(jax.tree.leaves(stack(unstack(people))), jax.tree.leaves(people), strict=True):
+        np.testing.assert_array_equal(here, there)
+    for text in ("none", *DISABILITIES, "tremor=0.2 tremor_hz=4 strength=0.5 motion=0.7"):
+        assert disability.spell(disability.parse(text)) == text
+    text = "speed=0.05:0.09 force=1.2:2 weights=0.3,0.35,-0.03"
+    assert preference.spell(preference.parse(text)) == text
+    assert preference.spell(preference.parse("weights=0.3,0,-0.03,0.25")).endswith("weights=0.3,0,-0.03,0.25")
+    np.testing.assert_allclose(preference.vector(preference.parse("force=1:2")), [0.06, 0.14, 1, 2, 0.3, 0.35, -0.03])
+
+
+@pytest.mark.parametrize("form", ["words", "profiles", "file", "paper630"])
+def test_a_list_of_people_is_drawn_from_evenly_and_survives_its_file(form, tmp_path):
+    listed = (Person("weakness", "force=1:2"), Person("none", "default"), Person("tremor=0.2", "speed=0.1:0.2"))
+    path = tmp_path / "people.json"
+    path.write_text(json.dumps([vars(person) for person in listed]))
+    given = {"words": listed, "profiles": stack(listed), "file": str(path), "paper630": "paper630"}[form]
+    config = with_settings(EnvConfig(), {"human": {"people": given}})
+    path.unlink()
+    again = with_settings(EnvConfig(), json.loads(json.dumps(dataclasses.asdict(config))))
+    everyone = population.profiles() if form == "paper630" else stack(listed)
+    drawn = jax.jit(jax.vmap(again.human.draw))(jax.random.split(jax.random.key(0), 6000))
+    for got, wanted in zip(jax.tree.leaves(drawn), jax.tree.leaves(everyone), strict=True):
+        np.testing.assert_array_equal(got, wanted[np.asarray(drawn.index)])
+    counts, expected = np.bincount(drawn.index), 6000 / len(everyone.index)
+    assert len(counts) == len(everyone.index) and np.abs(counts - expected).max() < 5 * expected**0.5
+    assert again.human.disabled and again.human.preferring
+
+
+def test_people_are_drawn_alike_on_every_engine():
+    human = {"disability": "standard", "preference": "sweep"}
+    envs = [assistax.make("scratch", engine, human=human) for engine in ("mujoco", "warp", "mjx")]
+    keys = jax.random.split(jax.random.key(3), 8)
+    drawn = [jax.jit(jax.vmap(lambda key, env=env: env._draw(key).person))(keys) for env in envs]
+    for other in drawn[1:]:
+        assert same(drawn[0], other)
+    assert len(np.unique(drawn[0].preference.speed[:, 0])) == 8
+
+
+def test_people_travel_with_the_state_and_change_at_a_reset(tmp_path):
+    """Two seeds of six environments, through a checkpoint, past a reset of every environment."""
+    env = assistax.make("scratch", engine="mujoco", episode_length=3, human={"people": "paper630"})
+    keys = jax.random.split(jax.random.key(0), (2, 6))
+    state = jax.jit(jax.vmap(jax.vmap(env.reset)))(keys)[1]
+    assert len(np.unique(state.person.index)) > 8
+    alone = jax.jit(jax.vmap(lambda key: env._draw(key).person))(keys[1])  # the second seed by itself
+    assert same(jax.tree.map(lambda x: x[1], state.person), alone)
+
+    save_checkpoint(tmp_path / "x.safetensors", state, {})
+    states = [state, load_checkpoint(tmp_path / "x.safetensors", state)]
+    step = jax.jit(jax.vmap(jax.vmap(env.step)))
+    fresh = jax.random.split(jax.random.key(1), (2, 6))
+    for i in range(4):
+        before, actions = states[0].person, random_actions(env, jax.random.key(i), (2, 6))
+        states = [step(fresh, state, actions)[1] for state in states]
+        assert same(*states)
+        assert same(before, states[0].person) == (i != 2)
+        gain = states[0].physics.overrides["actuator_gainprm"][..., 0, 0]
+        np.testing.assert_allclose(gain / 10.0, states[0].person.disability.strength, rtol=1e-6)
+    assert (np.asarray(states[0].person.index) != np.asarray(state.person.index)).mean() > 0.5
+
+
+PEOPLE = {"none": {}, **DISABILITIES, "stiff": {"motion": 0.1}}
+
+
+@pytest.fixture(scope="module", params=TASKS)
+def moves(request):
+    """moves[name, action]: sensors [250, ...] of one of PEOPLE, who holds the same action on every joint
+    for 2 s while the robot is still; and with them the "gain" and "limits" of that person's model."""
+    env = assistax.make(request.param, engine="mujoco", human={"disability": "standard"}, reset_noise=0.0)
+    start = env._draw(jax.random.key(0))
+
+    def roll(person, action):
+        overrides = env._body.overrides(person)
+        person = dataclasses.replace(start.person, disability=person)
+        physics = env.engine.init(start.qpos, start.qvel, overrides)
+        state = env._begin(physics, start._replace(person=person, overrides=overrides), 0)
+        actions = {"robot": jnp.zeros(7), "human": jnp.full(env.action_sizes["human"], action)}
+
         def step(state, _):
-            state = env.step_env(state, {"robot": actions["robot"], "human": action * actions["human"]})[0]
+            state = env.step_env(state, actions)[0]
             return state, env.sensors(state.physics)
 
-        return jax.lax.scan(step, state, None, 250)
+        sensors = jax.lax.scan(step, state, None, 250)[1]
+        return sensors | {"gain": overrides["actuator_gainprm"][0, 0], "limits": overrides["jnt_range"]}
 
-    roll = jax.jit(roll)
-
-    def play(action=0.0, **parts):
-        person = disability.disability(**parts)
-        physics = env.engine.init(start.physics.qpos, start.physics.qvel, env._body.overrides(person))
-        person = dataclasses.replace(start.person, disability=person)
-        state, sensors = roll(dataclasses.replace(start, physics=physics, person=person), action)
-        return {name: np.asarray(value) for name, value in sensors.items()}, state
-
-    return play
+    cases = [(name, action) for name in PEOPLE for action in (0.0, -1.0, 1.0)]
+    people = [disability.disability(**PEOPLE[name]) for name, _ in cases]
+    people = jax.tree.map(lambda *x: np.stack(x), *people)
+    sensors = jax.jit(jax.vmap(roll))(people, np.array([action for _, action in cases], np.float32))
+    return {case: jax.tree.map(lambda x, i=i: np.asarray(x[i]), sensors) for i, case in enumerate(cases)}
 
 
-def test_tremor_has_its_frequency_and_no_mean(play):
-    still, _ = play()
-    shaking, state = play(tremor=0.3, tremor_hz=5.0)
-    full = float(state.physics.overrides["actuator_gainprm"][0, 0])
-    torque = shaking["torque_human"][:, 0]
-    spectrum = np.abs(np.fft.rfft(torque))
-    assert np.fft.rfftfreq(250, 0.008)[spectrum.argmax()] == pytest.approx(5.0, abs=0.26)
-    assert abs(torque.mean()) < 1e-3 * full
-    assert np.abs(torque).max() == pytest.approx(0.3 * full, rel=0.02)
-    moved = [np.ptp(s["theta_human"], axis=0).max() for s in (still, shaking)]
-    assert moved[1] > 3 * moved[0] + 0.002
+def test_tremor_has_its_frequency_and_no_mean(moves):
+    shaking = moves["tremor", 0.0]
+    for torque in shaking["torque_human"].T:
+        spectrum = np.abs(np.fft.rfft(torque))
+        assert np.fft.rfftfreq(250, 0.008)[spectrum.argmax()] == pytest.approx(5.0, abs=0.26)
+        assert abs(torque.mean()) < 1e-3 * shaking["gain"]
+        assert np.abs(torque).max() == pytest.approx(0.3 * shaking["gain"], rel=0.02)
 
 
-def test_weakness_scales_torque_and_limited_range_limits_motion(play):
-    def travel(sensors, steps=250):
-        return np.abs(sensors["theta_human"][:steps] - sensors["theta_human"][0]).max()
-
-    furthest = {}
+def test_weakness_scales_torque(moves):
     for action in (-1.0, 1.0):
-        healthy, _ = play(action)
-        weak, _ = play(action, strength=0.4)
-        stiff, state = play(action, motion=0.1)
+        weak, healthy = moves["weakness", action], moves["none", action]
+        assert np.abs(healthy["torque_human"]).min() > 0.1
         np.testing.assert_allclose(weak["torque_human"], 0.4 * healthy["torque_human"], rtol=1e-4)
-        # Strength shows at once, before the limits do; the range shows in the end.
-        furthest[travel(healthy)] = travel(weak, 15) / travel(healthy, 15), travel(stiff) / travel(healthy)
-    slower, shorter = zip(*furthest.values(), strict=True)  # by direction; one may be blocked by furniture
-    assert min(slower) < 0.8 and min(shorter) < 0.7
-    limits = np.asarray(state.physics.overrides["jnt_range"])
-    whole = np.asarray(play()[1].physics.overrides["jnt_range"])
-    narrower = (limits[:, 1] - limits[:, 0]) < 0.11 * (whole[:, 1] - whole[:, 0])
-    assert narrower.sum() == weak["torque_human"].shape[1]  # the driven joints and no others
 
 
-def test_a_reset_starts_within_narrow_limits():
-    env = assistax.make("scratch", engine="mujoco", human={"disability": "motion=0.05"})
-    _, state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 64))
-    limits = np.asarray(state.physics.overrides["jnt_range"])
-    qpos = np.asarray(state.physics.qpos)
-    assert (limits[..., 0] - 1e-6 <= qpos).all() and (qpos <= limits[..., 1] + 1e-6).all()
-    assert len(np.unique(np.asarray(state.phase)[:, 0])) == 64
+def test_limited_range_is_that_of_the_driven_joints(moves):
+    widths = {name: np.ptp(moves[name, 0.0]["limits"], axis=1) for name in ("none", "stiff")}
+    narrower = widths["stiff"] < 0.11 * widths["none"]
+    assert narrower.sum() == moves["none", 0.0]["torque_human"].shape[1]
+    np.testing.assert_allclose(widths["stiff"][narrower], 0.1 * widths["none"][narrower], rtol=1e-3)
+    np.testing.assert_array_equal(widths["stiff"][~narrower], widths["none"][~narrower])
 
 
-def test_a_person_travels_with_the_state_and_changes_at_a_reset():
-    env = assistax.make(
-        "scratch", engine="mujoco", episode_length=5, human={"disability": "standard", "preference": "sweep"}
-    )
-    keys = jax.random.split(jax.random.key(0), 16)
-    _, state = jax.jit(jax.vmap(env.reset))(keys)
-    step = jax.jit(jax.vmap(env.step))
-    people = [np.asarray(state.person.preference.speed)]
-    for i in range(6):
-        _, state, *_ = step(keys, state, random_actions(env, jax.random.key(i), (16,)))
-        people.append(np.asarray(state.person.preference.speed))
-    for i, (before, after) in enumerate(pairwise(people)):
-        assert (before == after).all() == (i != 4)
-    strength = state.physics.overrides["actuator_gainprm"][:, 0, 0] / 10.0
-    np.testing.assert_allclose(strength, state.person.disability.strength, rtol=1e-6)
+def test_every_part_of_the_standard_settings_shows(moves):
+    """Alone and beside the others: tremor moves a person at rest, weakness slows, limited range shortens."""
+
+    def at_rest(name):
+        return np.abs(moves[name, 0.0]["dtheta_driven"]).mean()
+
+    def speed(name):
+        return max(np.abs(moves[name, action]["dtheta_driven"][:25]).mean() for action in (-1.0, 1.0))
+
+    def travel(name):  # [directions x joints] rad
+        both = (moves[name, action]["theta_human"] for action in (-1.0, 1.0))
+        return np.concatenate([np.abs(theta - theta[0]).max(0) for theta in both])
+
+    for name in DISABILITIES:
+        parts = name.split("+")
+        without = {part: "+".join(p for p in parts if p != part) or "none" for part in parts}
+        if "tremor" in parts:
+            assert at_rest(name) > 1.5 * at_rest(without["tremor"]) + 0.002
+        if "weakness" in parts:
+            assert speed(name) < 0.8 * speed(without["weakness"])
+        if "limited_range" in parts:
+            before, after = travel(without["limited_range"]), travel(name)
+            moved = before > 0.02
+            assert (after[moved] / before[moved]).min() < 0.95
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_reset_starts_within_narrow_limits(task):
+    """Of the least motion that can be asked for, and with far more noise than the limits leave room for."""
+    env = assistax.make(task, engine="mujoco", reset_noise=0.5, human={"disability": "motion=0.05"})
+    start = jax.jit(jax.vmap(env._draw))(jax.random.split(jax.random.key(0), 64))
+    limits, qpos = np.asarray(start.overrides["jnt_range"]), np.asarray(start.qpos)
+    assert (limits[..., 0] <= qpos).all() and (qpos <= limits[..., 1]).all()
+    driven = np.ptp(limits, axis=2)[0] < 0.1 * np.ptp(env.model.jnt_range, axis=1)
+    assert driven.sum() == env.action_sizes["human"]
+    assert (np.ptp(qpos, axis=0)[driven] > 0).all() and len(np.unique(np.asarray(start.phase)[:, 0])) == 64
 
 
 @pytest.mark.parametrize(("visibility", "robot", "human", "everyone"), [
@@ -188,6 +301,29 @@ def test_task_and_preference_returns_are_reported_apart():
     np.testing.assert_allclose(info["metrics"]["return"], sum(totals.values()), rtol=1e-5)
 
 
+TOO_WEAK = dataclasses.replace(population.profiles().disability, strength=np.zeros(630, np.float32))
+
+
+def test_evaluations_and_curves_show_both_returns(tmp_path, monkeypatch):
+    env = assistax.make("scratch", engine="mujoco", episode_length=5, human={"people": "paper630"})
+    report = evaluate(env, scripted_team("random", env), 4)
+    apart = [report[name]["mean"] for name in ("task_return", "preference_return")]
+    np.testing.assert_allclose(sum(apart), report["mean_return"], rtol=1e-5)
+    liked = sum(value for name, value in report["terms"].items() if name.startswith("prefer"))
+    np.testing.assert_allclose(apart[1], liked, rtol=1e-5)
+
+    from matplotlib import pyplot as plt
+
+    monkeypatch.setattr(plt, "close", lambda figure: None)
+    episode = {"return": 3.0, "success": 0.0, "task_return": 2.0, "preference_return": 1.0}
+    row = {"seed": 0, "steps": 10, "episodes": 1, "reward": {"reach": 0.1}, "episode": episode}
+    viewing.learning_curve([row], "title", tmp_path / "curve.png")
+    lines = {line.get_label(): line.get_ydata()[0] for line in plt.gcf().axes[0].lines}
+    assert lines == {"seed 0": 3.0, "seed 0, task": 2.0, "seed 0, preference": 1.0}
+    monkeypatch.undo()
+    plt.close("all")
+
+
 @pytest.mark.parametrize(("call", "words"), [
     (lambda: HumanConfig(disability="tremmor"), "Did you mean 'tremor'"),
     (lambda: HumanConfig(disability="strength=2"), r"strength must be in \[0.01, 1\]"),
@@ -198,8 +334,58 @@ def test_task_and_preference_returns_are_reported_apart():
     (lambda: preference.preference(force=(1.0, 1.2)), "at least 0.5 wide"),
     (lambda: preference.preference(weights=(0.0, 0.0, -0.1)), "must not all be zero"),
     (lambda: disability.disability(tremor_hz=20), r"tremor_hz must be in \[3, 7\]"),
+    (lambda: disability.disability(tremor=float("nan")), r"tremor must be in \[0, 1\]"),
+    (lambda: preference.preference(force=(1.0, float("inf"))), r"within \[0, 100\] N"),
+    (lambda: preference.preference(weights=(0.3, 0.3, 0.3)), r"weight of touch must be in \[-1, 0\]"),
+    (lambda: Person(preference="sweep"), "Unknown preference 'sweep'"),
+    (lambda: HumanConfig(people=()), "must hold a list"),
+    (lambda: HumanConfig(people="paper63"), "Did you mean 'paper630'"),
+    (lambda: HumanConfig(people=stack((Person(),)), disability="tremor"), "leave out env.human.disability"),
+    (lambda: HumanConfig(people=(Person(), Person(preference="default"))), "either all people have a preference"),
+    (lambda: HumanConfig(people=jax.tree.map(lambda x: x[0], population.profiles())), "stacked along one axis"),
+    (lambda: HumanConfig(people=dataclasses.replace(population.profiles(), disability=TOO_WEAK)), "strength must be"),
 ])  # fmt: skip
 def test_impossible_people_are_refused_in_one_line(call, words):
     with pytest.raises(assistax.UsageError, match=words) as error:
         call()
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("setting", "words"), [
+    ("disability=tremmor", "Did you mean 'tremor'"),
+    ("disability=strength=2", "strength must be in [0.01, 1], not 2"),
+    ("disability=tremor=0.1 tremor=0.2", "tremor is given twice"),
+    ("preference=speed=0.2:0.1", "preferred speed must be a range LEAST:MOST within [0, 1] m/s"),
+    ("preference=force=1", "force must be a range LEAST:MOST, not '1'"),
+    ("preference=weights=0,0,-0.1", "must not all be zero"),
+    ("preference=speeed=1:2", "Did you mean 'speed'"),
+    ("people=nobody.json", "Cannot read people from nobody.json"),
+    ("people=folk.json", "folk.json, person 1: A disability's strength must be in [0.01, 1], not 7"),
+    ("people=torn.json", "torn.json is not a JSON file"),
+    ("people=one.json", "one.json must hold a list"),
+])  # fmt: skip
+def test_the_command_line_refuses_impossible_people_before_it_compiles(setting, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folk.json").write_text('[{"disability": "tremor"}, {"disability": "strength=7"}]')
+    (tmp_path / "torn.json").write_text('[{"disabil')
+    (tmp_path / "one.json").write_text('{"disability": "tremor"}')
+    monkeypatch.setattr("assistax.env.Env.__init__", lambda *_: pytest.fail("an environment was made"))
+    for command in (["train", "scratch"], ["evaluate", "scratch", "--policy", "still"]):
+        monkeypatch.setattr(sys, "argv", ["assistax", *command, "--set", f"env.human.{setting}"])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        assert end.value.code == 2
+        lines = capsys.readouterr().err.splitlines()
+        assert len(lines) == 1 and lines[0].startswith("assistax: ") and words in lines[0]
+    assert not (tmp_path / "runs").exists()
+
+
+def test_the_list_that_humans_prints_is_a_file_of_people(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["assistax", "humans", "--people", "paper630", "--json"])
+    cli.main()
+    path = tmp_path / "people.json"
+    path.write_text(capsys.readouterr().out)
+    for here, there in zip(
+        jax.tree.leaves(stack(population.people(str(path)))), jax.tree.leaves(population.profiles()), strict=True
+    ):
+        np.testing.assert_array_equal(here, there)
