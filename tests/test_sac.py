@@ -2,13 +2,15 @@
 
 import math
 import time
-from functools import cache, partial
+from dataclasses import replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from games import Game
 
 from assistax.errors import UsageError
 from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
@@ -20,30 +22,30 @@ from assistax.learning.squashed import log_tanh_slope, sample_squashed, split_he
 from assistax.policies import SquashedActor
 
 
-class Carrying:
+class Carrying(Game):
     """Two agents lift a load to a height c in {-1, 1} that both see; effort costs.
 
     Rewards 2 - (lift - c)² - effort, where lift = robot + human and the robot has a second action that
     should mirror the human's. Nothing but the clock is a state, so that the optimum is one quadratic's.
-    Episodes end after `episode_length` steps, by the time limit or, with `terminating`, for good.
+    Episodes end at the time limit; with `terminating` that is the end of the task.
     """
 
-    agents = ("robot", "human")
     observation_sizes, action_sizes, global_size = {"robot": 2, "human": 1}, {"robot": 2, "human": 1}, 2
 
     def __init__(self, episode_length=5, terminating=False, constant=False):
         self.episode_length, self.terminating, self.constant = episode_length, terminating, constant
 
-    def reset(self, key, elapsed=0):
-        c = jnp.where(jax.random.bernoulli(key), 1.0, -1.0)
-        state = {"c": c, "t": jnp.int32(0) + elapsed, "return": jnp.float32(0.0)}
-        return self._obs(state), state
+    def begin(self, key):
+        return {"c": jnp.where(jax.random.bernoulli(key), 1.0, -1.0)}
 
-    def _obs(self, state):
+    def see(self, state):
         return {"robot": self.global_obs(state), "human": state["c"][None]}
 
     def global_obs(self, state):
         return jnp.stack([state["c"], 0.1 * state["t"]])
+
+    def play(self, key, state, actions):
+        return jnp.float32(1.0) if self.constant else self.reward(state["c"], **actions), {}
 
     @staticmethod
     def reward(c, robot, human):
@@ -51,21 +53,9 @@ class Carrying:
         return 2.0 - (robot[0] + human[0] - c) ** 2 - effort
 
     def step(self, key, state, actions):
-        reward = jnp.float32(1.0) if self.constant else self.reward(state["c"], actions["robot"], actions["human"])
-        end = {"c": state["c"], "t": state["t"] + 1, "return": state["return"] + reward}
-        over = end["t"] >= self.episode_length
-        _, fresh = self.reset(key)
-        state = jax.tree.map(partial(jnp.where, over), fresh, end)
-        info = {
-            "final_observation": self._obs(end),
-            "final_global_observation": self.global_obs(end),
-            "metrics": {"return": end["return"]},
-            "reward_terms": {"all": reward},
-            "fault": jnp.int32(0),
-        }
-        rewards = dict.fromkeys(self.agents, reward)
-        terminated, truncated = over & self.terminating, over & (not self.terminating)
-        return self._obs(state), state, rewards, {"__all__": terminated}, {"__all__": truncated}, info
+        obs, state, rewards, terminated, truncated, info = super().step(key, state, actions)
+        ends = (truncated, terminated) if self.terminating else (terminated, truncated)
+        return obs, state, rewards, *ends, info
 
 
 def optimum(c):
@@ -186,6 +176,32 @@ def test_packed_observations_come_back(scratch):
     )
 
 
+@pytest.mark.parametrize("joint", [True, False])
+def test_soft_targets_by_hand(joint):
+    """Zero actors draw tanh of N(0, exp(-1.5)) in each dimension; the twin targets say 3 and 5 of everything."""
+    trainer = SAC(Carrying(), SACConfig(joint_critics=joint, gamma=0.5), num_envs=1, total_iterations=1)
+    shapes = jax.eval_shape(trainer.init, jax.random.key(0)).params
+    params = jax.tree.map(lambda x: jnp.zeros(x.shape), shapes)
+    params["log_alpha"] = {"robot": jnp.log(0.1), "human": jnp.log(0.2)}
+    for pair in params["target"].values():
+        for critic, says in zip(pair, (3.0, 5.0), strict=True):
+            critic[-1]["b"] += says
+    n = 20_000
+    x = {"reward": jnp.ones(n), "terminated": jnp.arange(n) % 2 == 0, "next_others": {}}
+    seen = {"robot": jnp.zeros((n, 2)), "human": jnp.zeros((n, 1)), "global": jnp.zeros((n, 2))}
+    targets = trainer.soft_targets(params, x, seen, jax.random.key(0))
+
+    std, u = math.exp(-1.5), np.linspace(-3.0, 3.0, 100_001)
+    density = np.exp(-0.5 * (u / std) ** 2) / std / math.sqrt(2.0 * math.pi)
+    log_density = np.log(density) - np.log(1.0 - np.tanh(u) ** 2)
+    entropy = -np.sum(density * log_density) * (u[1] - u[0])  # of one dimension
+    bonus = {"robot": 0.1 * 2 * entropy, "human": 0.2 * entropy}
+    bonus["team"] = bonus["robot"] + bonus["human"]
+    for name, found in targets.items():
+        np.testing.assert_array_equal(found[::2], 1.0)  # nothing follows
+        np.testing.assert_allclose(found[1::2].mean(), 1.0 + 0.5 * (3.0 + bonus[name]), atol=0.005)
+
+
 # -- what is replayed ------------------------------------------------------------------------------
 
 
@@ -204,7 +220,7 @@ def test_transitions_end_in_the_true_final_observation(terminating):
     np.testing.assert_allclose(rows["reward"], expected, rtol=1e-5)
 
 
-@pytest.mark.parametrize(("joint", "terminating"), [(True, False), (False, False), (True, True)])
+@pytest.mark.parametrize(("joint", "terminating"), [(True, False), (False, True)])
 def test_values_go_on_through_time_limits_and_not_through_ends(joint, terminating):
     """Reward 1 at every step, gamma 0.5, no entropy: worth 2 for ever; with ends after 2 steps 1.5, then 1."""
     settings = QUICK | {
@@ -241,9 +257,8 @@ def test_solves_a_game_with_a_computed_optimum_to_two_percent(joint):
         assert abs(float(stats[agent]["entropy"]) + size) < 0.5
 
 
-@pytest.mark.parametrize("joint", [True, False])
-def test_resumed_equals_uninterrupted(scratch, tmp_path, joint):
-    config = SACConfig(joint_critics=joint, num_steps=4, updates=2, batch_size=16, buffer_size=48, warmup=20)
+def test_resumed_equals_uninterrupted(scratch, tmp_path):
+    config = SACConfig(num_steps=4, updates=2, batch_size=16, buffer_size=48, warmup=20)
     trainer = SAC(scratch, config, num_envs=4, total_iterations=6)
     half, _ = train(trainer, 3)
     save_checkpoint(tmp_path / "half", half, {})
@@ -265,9 +280,8 @@ def partners(members=3):
     return {"human": Partner(SquashedActor(normalize_obs=False), {"actor": {"layers": layers}}, members)}
 
 
-@pytest.mark.parametrize("joint", [True, False])
-def test_a_frozen_partner_plays_its_own_actions_and_learns_nothing(joint):
-    config = SACConfig(joint_critics=joint, num_steps=10, updates=2, buffer_size=60, stagger=False)
+def test_a_frozen_partner_plays_its_own_actions_and_learns_nothing():
+    config = SACConfig(num_steps=10, updates=2, buffer_size=60, stagger=False)
     seats = partners()
     trainer = SAC(Carrying(), config, num_envs=6, total_iterations=1, partners=seats)
     state, stats = train(trainer, 1)
@@ -284,13 +298,20 @@ def test_a_frozen_partner_plays_its_own_actions_and_learns_nothing(joint):
     assert np.all(np.abs(own - played[:, :, None]).min(2) < 1e-6)
     chosen = np.abs(own - played[:, :, None]).argmin(2)[..., 0]
     assert np.all(chosen[:5] == chosen[0]) and np.all(chosen[5:] == chosen[5])  # one member an episode
+    assert np.any(chosen[5] != chosen[0])  # and then another
     # The critics' next action is what the partner then did; at the time limit its last one.
     np.testing.assert_array_equal(
         rows["next_others"]["human"][:-1][[0, 1, 2, 3, 5, 6, 7, 8]], played[[1, 2, 3, 4, 6, 7, 8, 9]]
     )
     np.testing.assert_array_equal(rows["next_others"]["human"][4], played[4])
-    width = jax.tree.leaves(state.params["critic"]["team" if joint else "robot"])[1].shape[0]
-    assert width == (2 + 3 if joint else 2 + 2)
+
+
+def test_critics_of_a_team_see_partners_and_those_of_one_agent_do_not():
+    for joint, name, width in ((True, "team", 2 + 3), (False, "robot", 2 + 2)):
+        trainer = SAC(Carrying(), SACConfig(joint_critics=joint), 6, 1, partners())
+        params = jax.eval_shape(trainer.init, jax.random.key(0)).params
+        assert set(params["critic"]) == set(params["target"]) == {name}
+        assert params["critic"][name][0][0]["w"].shape == (width, 128)
 
 
 def test_learns_with_a_frozen_partner():
@@ -400,8 +421,27 @@ def speed_ratio(trainer, state, repeats=7) -> tuple[float, float, float]:
     return ours / theirs, ours, theirs
 
 
-def test_a_gradient_step_costs_what_its_networks_cost(scratch):
-    """Measured: see the bound in the issue, 1.3; here a generous one, as machines are shared."""
-    trainer = SAC(scratch, SACConfig(buffer_size=20_000), num_envs=64, total_iterations=1)
-    state, _ = jax.jit(trainer.collect)(jax.jit(trainer.init)(jax.random.key(0)))
-    assert speed_ratio(trainer, state)[0] < 1.6
+class Wide(Carrying):
+    """Carrying with the sizes of scratch and nothing in them, for timing networks."""
+
+    observation_sizes, action_sizes, global_size = {"robot": 34, "human": 38}, {"robot": 7, "human": 3}, 52
+
+    def obs_layout(self, who):
+        seen = {"robot": ("robot", "both"), "human": ("both", "human"), "global": ("robot", "both", "human")}[who]
+        ends = np.cumsum([0, *({"robot": 14, "both": 20, "human": 18}[name] for name in seen)])
+        return {name: slice(*ends[i : i + 2]) for i, name in enumerate(seen)}
+
+    def see(self, state):
+        return {agent: jnp.zeros(size) for agent, size in self.observation_sizes.items()}
+
+    def global_obs(self, state):
+        return jnp.zeros(self.global_size)
+
+
+def test_a_gradient_step_costs_what_its_networks_cost():
+    """Within 1.3, measured alone; here with room for a machine that others use."""
+    trainer = SAC(Wide(), SACConfig(buffer_size=20_000), num_envs=64, total_iterations=1)
+    state = jitted(trainer)[0](jax.random.key(0))
+    noise = jax.tree.map(lambda x: jax.random.uniform(jax.random.key(1), (512, *x.shape[1:])), state.replay.rows)
+    noise["terminated"] = noise["terminated"] > 0.9
+    assert speed_ratio(trainer, replace(state, replay=add(state.replay, noise)))[0] < 1.6

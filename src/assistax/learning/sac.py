@@ -263,14 +263,7 @@ class SAC:
             params[name] = optax.apply_updates(params[name], updates)
             return aux
 
-        next_actions, next_log_probs = self._draw(params["actor"], next_seen, next_key)
-        next_actions |= x["next_others"]
-        goes_on = c.gamma * (1.0 - x["terminated"])
-        targets = {}
-        for name, (_, agents) in self._critics.items():
-            value = jnp.minimum(*self._judge(name, params["target"][name], next_seen, next_actions))
-            value -= sum(alpha[agent] * next_log_probs[agent] for agent in agents if agent in self.learners)
-            targets[name] = x["reward"] + goes_on * value
+        targets = self.soft_targets(params, x, next_seen, next_key)
 
         def critic_loss(critics):
             judged = {name: self._judge(name, critics[name], seen, x["actions"]) for name in critics}
@@ -305,6 +298,19 @@ class SAC:
                 "alpha": alpha[agent],
             }
         return (params, opt_state), stats
+
+    def soft_targets(self, params, x: dict, next_seen: dict, key: jax.Array) -> dict[str, jax.Array]:
+        """By critic, what it should say of the transitions [batch]: reward, and the soft value of what follows."""
+        actions, log_probs = self._draw(params["actor"], next_seen, key)
+        actions |= x["next_others"]
+        goes_on = self.config.gamma * (1.0 - x["terminated"])
+        targets = {}
+        for name, (_, agents) in self._critics.items():
+            value = jnp.minimum(*self._judge(name, params["target"][name], next_seen, actions))
+            for agent in (a for a in agents if a in self.learners):
+                value -= jnp.exp(params["log_alpha"][agent]) * log_probs[agent]
+            targets[name] = x["reward"] + goes_on * value
+        return targets
 
     def _see(self, row, normalizer) -> dict[str, jax.Array]:
         """What the networks see in a row [..., width], by agent and "global"."""
