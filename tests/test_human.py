@@ -267,6 +267,8 @@ def test_a_reset_starts_within_narrow_limits(task):
     start = jax.jit(jax.vmap(env._draw))(jax.random.split(jax.random.key(0), 64))
     limits, qpos = np.asarray(start.overrides["jnt_range"]), np.asarray(start.qpos)
     assert (limits[..., 0] <= qpos).all() and (qpos <= limits[..., 1]).all()
+    resting = np.asarray(env.model.key("start").qpos, np.float32)
+    assert (limits[..., 0] <= resting).all() and (resting <= limits[..., 1]).all()
     driven = np.ptp(limits, axis=2)[0] < 0.1 * np.ptp(env.model.jnt_range, axis=1)
     assert driven.sum() == env.action_sizes["human"]
     assert (np.ptp(qpos, axis=0)[driven] > 0).all() and len(np.unique(np.asarray(start.phase)[:, 0])) == 64
