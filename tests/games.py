@@ -71,7 +71,7 @@ class Weather(Game):
     """
 
     observation_sizes, action_sizes, global_size = {"robot": 1, "human": 1}, {"robot": 1, "human": 1}, 2
-    episode_length = 1
+    ending = 1.0
 
     def begin(self, key):
         return {"luck": jnp.where(jax.random.bernoulli(key), 10.0, -10.0)}
@@ -84,7 +84,7 @@ class Weather(Game):
 
     def play(self, key, state, actions):
         error = jnp.square(actions["human"][0] - 0.5) + jnp.square(actions["robot"][0] + 0.5)
-        return state["luck"] - error, {"luck": state["luck"]}
+        return state["luck"] - error, {}
 
 
 class Cue(Game):

@@ -97,17 +97,24 @@ def test_ppo_solves_a_game_with_a_known_optimum_to_two_percent(variant):
 
 
 def test_a_central_critic_helps_where_luck_hides_what_was_achieved():
+    """See Weather for why; mean error of the two means after 40 iterations, over four seeds."""
     quick = {"num_steps": 8, "num_minibatches": 2, "hidden": (16,), "entropy_coef": 0.0, "learning_rate": 3e-3}
     error = {}
     for central in (False, True):
-        ppo, state, stats, _ = trained(Weather(), 60, central_critic=central, **quick)
-        policy, params = ppo.policy(), ppo.policy_params(state)
-        mean = {
-            a: policy.act(params[a], (), jnp.ones(1), jnp.bool_(True), jax.random.key(0))[0][0] for a in Weather.agents
-        }
-        error[central] = abs(mean["human"] - 0.5) + abs(mean["robot"] + 0.5)
-        assert (stats["robot"]["explained_variance"] > 0.9) == central
-    assert error[True] < 0.1 and error[False] > 3 * error[True], error
+        ppo = PPO(Weather(), PPOConfig(central_critic=central, **quick), 16, 40)
+        step = jax.jit(jax.vmap(lambda state, ppo=ppo: ppo.improve(*ppo.collect(state))))
+        state, stats = jax.vmap(ppo.init)(jax.random.split(jax.random.key(0), 4)), {}
+        for _ in range(40):
+            state, stats = step(state)
+        params, policy = jax.vmap(ppo.policy_params)(state), ppo.policy()
+
+        def mean(params, policy=policy):
+            return policy.act(params, (), jnp.ones(1), jnp.bool_(True), jax.random.key(0))[0][0]
+
+        means = {agent: jax.vmap(mean)(params[agent]) for agent in Weather.agents}
+        error[central] = float((jnp.abs(means["human"] - 0.5) + jnp.abs(means["robot"] + 0.5)).mean())
+        assert ((stats["robot"]["explained_variance"] > 0.9) == central).all()
+    assert error[True] < 0.06 and error[False] > 3 * error[True], error
 
 
 @pytest.mark.parametrize("recurrent", [False, True])
