@@ -171,22 +171,21 @@ def test_samples_are_what_a_step_by_step_loop_computes(variant):
     game, agents = Meeting(ending=0.2), Meeting.agents
     ppo, state, *_ = trained(game, 2, 4, num_steps=12, num_minibatches=2, update_epochs=2, hidden=(8, 8), **variant)
     state, batch = jax.jit(ppo.collect)(state)
-    samples, start, end = jax.jit(ppo._samples)(state, batch)
+    samples = jax.jit(ppo._samples)(state, batch)
     reset, done = np.asarray(batch["reset"]), np.asarray(batch["done"])
     terminated = np.asarray(batch["terminated"])
     assert (done[:-1] & ~terminated[:-1]).any() and terminated[:-1].any() and (reset[1:] == done[:-1]).all()
     c = ppo.config
 
-    def seen(view, x, agent, width):
-        if view == "global" or not c.share_parameters:
-            x = normalize(state.normalizer[view], x)
-        else:
-            x = normalize(state.normalizer[view], x)
-            x = jnp.pad(x, ((0, 0), (0, width - x.shape[-1])))
+    def seen(view, x):
+        return np.asarray(normalize(state.normalizer[view], x))
+
+    def shown(agent, x):
+        """What the network that knows several agents is shown: padded to the longest, and labelled."""
         if not c.share_parameters:
             return x
-        label = jax.nn.one_hot(agents.index(agent), len(agents))
-        return jnp.concatenate([x, jnp.broadcast_to(label, (len(x), len(agents)))], -1)
+        padded = np.pad(x, ((0, 0), (0, width - x.shape[-1])))
+        return np.concatenate([padded, np.tile(np.eye(2)[agents.index(agent)], (len(x), 1))], -1)
 
     for agent in agents:
         own = state.params["shared" if c.share_parameters else agent]
@@ -194,25 +193,29 @@ def test_samples_are_what_a_step_by_step_loop_computes(variant):
         n = game.action_sizes[agent]
         log_std = np.asarray(own["actor"]["log_std"])[:n]
         for i in range(4):
-            carries = [np.asarray(start[agent][net][i]) if c.recurrent else None for net in ("actor", "critic")]
-            x = seen(agent, batch["obs"][agent][:, i], agent, 2)
-            mean = loop(own["actor"], x, carries[0], reset[:, i])[0][:, :n]
-            expected = scipy_stats.norm(mean, np.exp(log_std)).logpdf(batch["actions"][agent][:, i]).sum(-1)
+            width, memory = 2, np.asarray(batch["memory"][agent][i]) if c.recurrent else None
+            x, final = (seen(agent, batch[name][agent][:, i]) for name in ("obs", "final_obs"))
+            mean, memories = loop(own["actor"], shown(agent, x), memory, reset[:, i])
+            after = [
+                loop(own["actor"], shown(agent, f[None]), h, [False])[1][0]
+                for f, h in zip(final, memories, strict=True)
+            ]
+            expected = scipy_stats.norm(mean[:, :n], np.exp(log_std)).logpdf(batch["actions"][agent][:, i]).sum(-1)
             np.testing.assert_allclose(batch["log_probs"][agent][:, i], expected, atol=2e-5)
-            critic = own["critic"]
-            values, memories = loop(critic, seen(view, batch["obs"][view][:, i], agent, 2), carries[1], reset[:, i])
-            np.testing.assert_allclose(samples[agent]["value"][:, i], values[:, 0], atol=2e-5)
-            final = seen(view, batch["final_obs"][view][:, i], agent, 2)
-            following = [loop(critic, x[None], h, [False])[0][0, 0] for x, h in zip(final, memories, strict=True)]
+            judged, ahead = (seen(view, batch[name][view][:, i]) for name in ("obs", "final_obs"))
+            if c.recurrent:
+                judged, ahead = np.hstack([memories, judged]), np.hstack([after, ahead])
+                width += 8
+            values = loop(own["critic"], shown(agent, judged), None, reset[:, i])[0][:, 0]
+            following = loop(own["critic"], shown(agent, ahead), None, reset[:, i])[0][:, 0]
+            np.testing.assert_allclose(samples[agent]["value"][:, i], values, atol=2e-5)
             advantage, expected = 0.0, np.zeros(12)
             for t in reversed(range(12)):
-                ahead = 0.0 if terminated[t, i] else c.gamma * following[t]
-                delta = float(batch["rewards"][agent][t, i]) + ahead - values[t, 0]
+                to_come = 0.0 if terminated[t, i] else c.gamma * following[t]
+                delta = float(batch["rewards"][agent][t, i]) + to_come - values[t]
                 advantage = delta + (0.0 if done[t, i] else c.gamma * c.gae_lambda * advantage)
                 expected[t] = advantage
             np.testing.assert_allclose(samples[agent]["advantage"][:, i], expected, atol=1e-4)
-            if c.recurrent:
-                np.testing.assert_allclose(end[agent][i], memories[-1], atol=2e-5)
 
 
 @pytest.mark.parametrize("recurrent", [False, True])
@@ -252,7 +255,7 @@ def test_a_frozen_actor_acts_exactly_as_in_the_run_that_trained_it(variant):
     stacked = jax.tree.map(lambda x: jnp.stack([x + 1.0, x]), before["human"])
     seats = Seats(ppo.env, 8, {"human": Partner(ppo.policy(), stacked, 2)})
     seated = seats.init(jax.random.key(0))
-    carry = state.memory["human"]["actor"]
+    carry = state.memory["human"]
     seated = {"human": {"index": jnp.ones(8, jnp.int32), "carry": carry}}
     assert np.asarray(batch["reset"])[1:].any()
     for t in range(12):

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 MLP = list[dict[str, jax.Array]]
 Network = dict[str, Any]
-"""{"layers": MLP} and, if it remembers, {"gru": ...}, which follows the first layer."""
+"""{"layers": MLP} and, if it remembers, "gru", which follows the first layer."""
 ACTIVATIONS = {"tanh": jnp.tanh, "relu": jax.nn.relu, "swish": jax.nn.swish}
 
 

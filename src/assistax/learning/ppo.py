@@ -1,8 +1,10 @@
 """Proximal policy optimisation (Schulman et al., 2017) for teams: IPPO and MAPPO, with and without memory.
 
 Every learning agent has an actor on its own observation and a critic of its own, which sees that
-observation too (IPPO) or the global state (MAPPO); all are trained on the shared reward. One iteration
-is `collect`, then `improve`; both are pure functions of a TrainState, to be jitted and, over seeds, vmapped.
+observation too (IPPO) or the global state (MAPPO); all are trained on the shared reward. With a GRU the
+actor remembers and the critic reads its memory (but does not shape it): what happens next depends on the
+state and on that memory, and on nothing else. One iteration is `collect`, then `improve`; both are pure
+functions of a TrainState, to be jitted and, over seeds, vmapped.
 """
 
 from collections.abc import Mapping
@@ -21,7 +23,9 @@ from assistax.learning.networks import (
     ACTIVATIONS,
     gaussian_entropy,
     gaussian_log_prob,
+    init_mlp,
     init_network,
+    mlp,
     network_of,
     step,
     unroll,
@@ -35,7 +39,7 @@ from assistax.pytree import pytree
 @dataclass(frozen=True)
 class PPOConfig:
     central_critic: bool = False  # critics see the global state (MAPPO) instead of the agent's own observation (IPPO)
-    recurrent: bool = False  # a GRU of hidden[0] units after the first layer of every network
+    recurrent: bool = False  # in actors a GRU of hidden[0] units in place of the second layer
     share_parameters: bool = False  # one actor and one critic for all learners, told who they are
     learning_rate: float = 3e-4
     anneal_learning_rate: bool = False  # linearly to zero over the run
@@ -80,7 +84,7 @@ class TrainState:
     env_state: Any  # [num_envs, ...]
     obs: dict[str, jax.Array]  # agent -> [num_envs, n]
     reset: jax.Array  # [num_envs] whether obs begins an episode
-    memory: dict[str, Any]  # learner -> {"actor": carry, "critic": carry}, before obs
+    memory: dict[str, Any]  # learner -> its actor's carry before obs, [num_envs, units] or ()
     seated: dict[str, Any]  # who plays the seats that do not learn
     key: jax.Array
     iteration: jax.Array  # int32
@@ -123,6 +127,7 @@ class PPO:
             rate = optax.linear_schedule(rate, 0.0, updates)
         self._adam = optax.adam(rate, eps=1e-5)
         self._critic_sees = {agent: "global" if config.central_critic else agent for agent in self.learners}
+        self._units = config.hidden[0] if config.recurrent else 0  # of memory
         self._sizes = {agent: env.observation_sizes[agent] for agent in self.learners}
         if config.central_critic:
             self._sizes["global"] = env.global_size
@@ -135,7 +140,7 @@ class PPO:
         # In step, all environments would be at the same moment of the task in every batch.
         elapsed = jnp.arange(self.num_envs) * env.episode_length // self.num_envs * c.stagger
         obs, env_state = jax.vmap(env.reset)(jax.random.split(reset_key, self.num_envs), elapsed)
-        blank = jnp.zeros((self.num_envs, c.hidden[0])) if c.recurrent else ()
+        blank = jnp.zeros((self.num_envs, self._units)) if c.recurrent else ()
         return TrainState(
             params=params,
             opt_state=self._adam.init(params),
@@ -143,7 +148,7 @@ class PPO:
             env_state=env_state,
             obs=obs,
             reset=jnp.ones(self.num_envs, bool),
-            memory={agent: {"actor": blank, "critic": blank} for agent in self.learners},
+            memory=dict.fromkeys(self.learners, blank),
             seated=self.seats.init(seat_key),
             key=key,
             iteration=jnp.int32(0),
@@ -154,10 +159,11 @@ class PPO:
 
         def pair(key, seen, seen_by_critic, acts):
             actor_key, critic_key = jax.random.split(key)
-            actor = init_network(actor_key, (seen, *c.hidden, acts), 0.01, c.recurrent)
+            hidden = c.hidden[:1] + c.hidden[2:] if c.recurrent else c.hidden
+            actor = init_network(actor_key, (seen, *hidden, acts), 0.01, c.recurrent)
             actor["log_std"] = jnp.full(acts, c.initial_log_std, jnp.float32)
-            critic = init_network(critic_key, (seen_by_critic, *c.hidden, 1), 1.0, c.recurrent)
-            return {"actor": actor, "critic": critic}
+            critic = init_mlp(critic_key, (self._units + seen_by_critic, *c.hidden, 1), 1.0)
+            return {"actor": actor, "critic": {"layers": critic}}
 
         if c.share_parameters:  # see network_of
             count = len(self.learners)
@@ -180,7 +186,7 @@ class PPO:
             own = network_of(actor, i, count, self._sizes[agent], acts) | {"log_std": actor["log_std"][:acts]}
             networks[agent] = {
                 "actor": own,
-                "critic": network_of(critic, i, count, self._sizes[self._critic_sees[agent]], 1),
+                "critic": network_of(critic, i, count, self._units + self._sizes[self._critic_sees[agent]], 1),
             }
         return networks
 
@@ -198,7 +204,7 @@ class PPO:
     def policy(self, deterministic: bool = True) -> Actor:
         """What plays the learners' seats, with `policy_params`, outside of training."""
         c = self.config
-        return Actor(c.activation, c.normalize_obs, deterministic, c.hidden[0] if c.recurrent else 0)
+        return Actor(c.activation, c.normalize_obs, deterministic, self._units)
 
     def policy_params(self, state: TrainState) -> dict[str, Any]:
         """By learner, parameters for `policy`; of `state` only params and normalizer are read."""
@@ -228,12 +234,10 @@ class PPO:
                 step_keys, env_state, actions
             )
             done = terminated["__all__"] | truncated["__all__"]
-            final = self._views(
-                info["final_observation"], info["final_global_observation"] if c.central_critic else None
-            )
+            final = self._views(info["final_observation"], info.get("final_global_observation"))
             played = {
                 "obs": views,
-                "final_obs": {view: final[view] for view in set(self._critic_sees.values())},
+                "final_obs": final,
                 "reset": reset,
                 "actions": {agent: actions[agent] for agent in self.learners},
                 "log_probs": log_probs,
@@ -246,13 +250,11 @@ class PPO:
             return (env_state, next_obs, done, memory, seated, t + 1), (played, log)
 
         key, rollout_key = jax.random.split(state.key)
-        actor_memory = {agent: state.memory[agent]["actor"] for agent in self.learners}
         t = state.iteration * c.num_steps + 1
-        start = (state.env_state, state.obs, state.reset, actor_memory, state.seated, t)
+        start = (state.env_state, state.obs, state.reset, state.memory, state.seated, t)
         end, (batch, log) = jax.lax.scan(play, start, jax.random.split(rollout_key, c.num_steps))
-        env_state, obs, reset, moved, seated, _ = end
-        batch |= {"memory": actor_memory, "log": iteration_log(log)}
-        memory = {agent: state.memory[agent] | {"actor": moved[agent]} for agent in self.learners}
+        env_state, obs, reset, memory, seated, _ = end
+        batch |= {"memory": state.memory, "log": iteration_log(log)}
         state = replace(state, env_state=env_state, obs=obs, reset=reset, memory=memory, seated=seated, key=key)
         return state, batch
 
@@ -261,20 +263,19 @@ class PPO:
     def _samples(self, state: TrainState, batch: dict):
         """What the update learns from, all with the numbers of the rollout's own networks.
 
-        Returns:
-          samples [num_steps, num_envs, ...]: "obs" as networks see it, "reset" and, by learner, its
-            actions with their advantages and value targets.
-          start: the networks' carries before the first step; end: the critics' after the last one.
+        [num_steps, num_envs, ...]: "obs" as networks see it, "reset" and, by learner, its actions with
+        their advantages and value targets.
         """
         c, networks = self.config, self._networks(state.params)
         seen, final = self._seen(state.normalizer, batch["obs"]), self._seen(state.normalizer, batch["final_obs"])
-        samples, start, end = {"obs": seen, "reset": batch["reset"]}, {}, {}
+        samples = {"obs": seen, "reset": batch["reset"]}
         for agent in self.learners:
-            critic, view, carry = networks[agent]["critic"], self._critic_sees[agent], state.memory[agent]["critic"]
-            values, carries = unroll(critic, seen[view], carry, batch["reset"], c.activation)
-            # The state that a step led to is judged with that step's memory, also where a reset followed.
-            next_values, _ = step(critic, final[view], carries, jnp.zeros_like(batch["reset"]), c.activation)
-            values, next_values = values[..., 0], next_values[..., 0]
+            actor, critic, reset = networks[agent]["actor"], networks[agent]["critic"], batch["reset"]
+            _, memory = unroll(actor, seen[agent], batch["memory"][agent], reset, c.activation)
+            # The state that a step led to is met with that step's memory, also where a reset followed.
+            _, after = step(actor, final[agent], memory, jnp.zeros_like(reset), c.activation)
+            values = self._value(critic, agent, seen, memory)
+            next_values = self._value(critic, agent, final, after)
             ends = batch["terminated"], batch["done"]
             advantages = gae(batch["rewards"][agent], values, next_values, *ends, c.gamma, c.gae_lambda)
             samples[agent] = {
@@ -284,14 +285,19 @@ class PPO:
                 "value": values,
                 "target": advantages + values,
             }
-            start[agent] = {"actor": batch["memory"][agent], "critic": carry}
-            end[agent] = jax.tree.map(lambda h: h[-1], carries)
-        return samples, start, end
+        return samples
+
+    def _value(self, critic, agent, seen, memory):
+        """The critic's value [...] of what is `seen` and of the actor's `memory` after it."""
+        x = seen[self._critic_sees[agent]]
+        if self.config.recurrent:
+            x = jnp.concatenate([jax.lax.stop_gradient(memory), x], -1)
+        return mlp(critic["layers"], x, self.config.activation)[..., 0]
 
     def improve(self, state: TrainState, batch: dict) -> tuple[TrainState, dict]:
         """`update_epochs` passes over the batch; returns the means of the losses and the like."""
         c = self.config
-        samples, start, end = self._samples(state, batch)
+        samples = self._samples(state, batch)
         if not c.recurrent:  # without memory, every step is a sequence of its own
             samples = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
         axis = 1 if c.recurrent else 0  # of the sequences
@@ -300,7 +306,7 @@ class PPO:
         def minibatch(carry, ids):
             params, opt_state = carry
             part = jax.tree.map(lambda x: jnp.take(x, ids, axis), samples)
-            part_start = jax.tree.map(lambda x: x[ids], start)
+            part_start = jax.tree.map(lambda x: x[ids], batch["memory"])
             grads, stats = jax.grad(self._loss, has_aux=True)(params, part, part_start)
             updates, opt_state = self._adam.update(clip_networks(grads, c.max_grad_norm), opt_state)
             return (optax.apply_updates(params, updates), opt_state), stats
@@ -323,7 +329,6 @@ class PPO:
             opt_state=opt_state,
             # Only now, so that every log-probability above was computed with the rollout's own numbers.
             normalizer={view: update_stats(state.normalizer[view], x) for view, x in batch["obs"].items()},
-            memory={agent: state.memory[agent] | {"critic": end[agent]} for agent in self.learners},
             key=key,
             iteration=state.iteration + 1,
         )
@@ -338,12 +343,11 @@ class PPO:
 
     def _agent_loss(self, agent, networks, part, start):
         c, x, reset = self.config, part[agent], part["reset"]
-        mean, _ = unroll(networks["actor"], part["obs"][agent], start["actor"], reset, c.activation)
+        mean, memory = unroll(networks["actor"], part["obs"][agent], start, reset, c.activation)
         log_std = networks["actor"]["log_std"]
         log_ratio = gaussian_log_prob(x["action"], mean, log_std) - x["log_prob"]
         policy_loss = clipped_policy_loss(log_ratio, x["advantage"], c.clip_eps)
-        view = part["obs"][self._critic_sees[agent]]
-        value = unroll(networks["critic"], view, start["critic"], reset, c.activation)[0][..., 0]
+        value = self._value(networks["critic"], agent, part["obs"], memory)
         error = jnp.square(value - x["target"])
         if c.clip_value:
             near = x["value"] + jnp.clip(value - x["value"], -c.clip_eps, c.clip_eps)
