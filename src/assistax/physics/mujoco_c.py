@@ -6,6 +6,7 @@ calls: the same arguments give the same bits, at any number of threads.
 """
 
 import threading
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -51,7 +52,7 @@ class MujocoEngine(Engine):
         m = self.model
         shapes = [jax.ShapeDtypeStruct((n,), jnp.float32) for n in (m.nq, m.nv, m.nv, m.nsensordata)]
         shapes.append(jax.ShapeDtypeStruct((), jnp.int32))
-        return jax.pure_callback(host, shapes, args, overrides, vmap_method="broadcast_all")
+        return jax.pure_callback(partial(self._timed, host), shapes, args, overrides, vmap_method="broadcast_all")
 
     # From here on NumPy only: a callback must not call JAX.
 
@@ -68,6 +69,13 @@ class MujocoEngine(Engine):
             rows = batch.expand(name)
             rows[:] = np.reshape(value, rows.shape)
         return batch
+
+    def _timed(self, host, *args):
+        began = time.perf_counter()
+        try:
+            return host(*args)
+        finally:
+            self.seconds += time.perf_counter() - began
 
     def _host_step(self, args, overrides):
         *rows, ctrl = (np.asarray(a) for a in args)
