@@ -108,8 +108,13 @@ def test_layout(scene):
         assert data.sensordata[at[f"{segment}_quat"]] == pytest.approx(data.body(f"right_{segment}").xquat)
 
 
+def resting(config):
+    """The joints that lie at their limit, on the furniture."""
+    return tuple(name for name in scenes.LEANS if name not in config.human_driven)
+
+
 def test_human_masses_and_ranges(scene):
-    _, model = scene
+    config, model = scene
     total = 0.0
     for name, mass in HUMAN_MASSES.items():
         sides = [name] if name in ("pelvis", "waist", "torso", "head") else [f"right_{name}", f"left_{name}"]
@@ -119,8 +124,9 @@ def test_human_masses_and_ranges(scene):
     assert model.body_subtreemass[model.body("human").id] == pytest.approx(total)  # nothing else weighs
     assert total == pytest.approx(42.1, rel=0.01)
     for name, limits in HUMAN_RANGES.items():
-        if name == "trunk_pitch":  # ends at the back rest or mattress
-            limits = (start(model).qpos[scenes.qpos_ids(model, (name,))[0]], limits[1])
+        if name in resting(config):
+            angle = start(model).qpos[scenes.qpos_ids(model, (name,))[0]]
+            limits = (angle, limits[1]) if scenes.LEANS[name] < 0 else (limits[0], angle)
         assert model.joint(name).range == pytest.approx(limits, abs=1e-4), name
 
 
@@ -160,17 +166,18 @@ def test_panda_kinematics(scene):
 
 
 def test_start_pose(scene):
-    _, model = scene
+    config, model = scene
     data = start(model)
     ids = scenes.qpos_ids(model, ROBOT_JOINTS)
     assert data.qpos[ids] == pytest.approx(READY_POSE)
     margin = np.minimum(data.qpos - model.jnt_range[:, 0], model.jnt_range[:, 1] - data.qpos)
-    trunk = scenes.qpos_ids(model, ("trunk_pitch",))[0]
-    assert np.delete(margin, trunk).min() > 0.01  # the reset noise of 0.005 stays inside
-    assert margin[trunk] == pytest.approx(0.0, abs=1e-6)  # it leans on the back rest
+    at_limit = scenes.qpos_ids(model, resting(config))
+    assert np.delete(margin, at_limit).min() > 0.01  # the reset noise of 0.005 stays inside
+    assert margin[at_limit] == pytest.approx(0.0, abs=1e-6)
     assert min(data.contact.dist, default=0) > -0.002
     assert 1 not in model.geom_contype[data.contact.geom]  # the robot hovers
-    assert len(np.unique(data.contact.geom, axis=0)) >= 2  # both arms lie on something
+    arm_driven = "right_elbow" in config.human_driven
+    assert (len(data.contact) > 0) == arm_driven  # an arm that can be lifted lies on something
 
 
 def test_resting_person_and_robot_stay(scene):
@@ -234,7 +241,7 @@ def test_solver_converges(scene):
         model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = kept
         mujoco.mj_forward(model, data)
         few = data.qacc
-        assert few == pytest.approx(exact, rel=1e-4, abs=1e-3)
+        assert few == pytest.approx(exact, rel=2e-4, abs=1e-3)
 
 
 def test_without_visuals_is_the_same_physics(scene):

@@ -87,15 +87,19 @@ class Expert:
 
 
 class ScratchExpert(Expert):
-    """Stick square to the skin, 3 N, strokes of 6 cm along the limb."""
+    """Stick on the skin with 3 N, strokes of 6 cm along the limb."""
 
     stroke = 0.03  # m, to either side of the itch
     speed = 0.06  # m/s
     force = 3.0  # N
     drag = 1.5  # N, to overcome friction
 
+    def __init__(self, env):
+        super().__init__(env)
+        self._base = jnp.array(scenes.SCENES[env.name].robot_pos)
+
     def initial_carry(self):
-        return {"way": jnp.float32(1.0)}
+        return {"way": jnp.float32(1.0), "clear": jnp.bool_(False), "down": jnp.bool_(False)}
 
     def goal(self, carry, s, task, pos, rot):
         t = self.env.task
@@ -108,20 +112,23 @@ class ScratchExpert(Expert):
         itch = origin + frame @ task.itch
         along = (pos - itch) @ axis
         off = pos - itch - along * axis
-        near = norm(off) < 0.03
+        # Square to the skin the hand would often be out of reach: the stick leans toward the robot.
+        stick = spatial.unit(spatial.unit((itch - self._base) * LEVEL) - normal)
+        aligned = norm(jnp.cross(rot[:, 2], stick)) < 0.2
+        # First to a place well away from the skin, turning, so that nothing brushes the arm on the way.
+        far, hover = itch - 0.12 * stick, itch - 0.03 * stick
+        clear = carry["clear"] | (aligned & (norm(pos - far) < 0.04))
+        down = carry["down"] | (clear & (norm(pos - hover) < 0.015))
+        on_skin = down & (norm(off) < 0.03)
         way = jnp.where(jnp.abs(along) > self.stroke, -jnp.sign(along), carry["way"])
-        hover = itch + 0.05 * normal
-        aligned = norm(jnp.cross(rot[:, 2], -normal)) < 0.2
-        start = near | (aligned & (norm(pos - hover) < 0.02)) | (aligned & (norm(off) < 0.06) & (jnp.abs(along) < 0.03))
-        target = jnp.where(start, itch + jnp.clip(along, -self.stroke, self.stroke) * axis, hover)
-        turned = _turn_to(rot, -normal)
+        place = jnp.where(clear, hover, far)
         return Goal(
-            target,
-            turned,
-            drift=jnp.where(near, self.speed * way, 0.0) * axis,
-            press=jnp.where(start, -self.force, 0.0) * normal + jnp.where(near, self.drag * way, 0.0) * axis,
-            free=jnp.where(start, 1.0, 0.0) * normal,
-        ), {"way": way}
+            jnp.where(down, itch + jnp.clip(along, -self.stroke, self.stroke) * axis, place),
+            _turn_to(rot, stick),
+            drift=jnp.where(on_skin, self.speed * way, 0.0) * axis,
+            press=jnp.where(down, -self.force, 0.0) * normal + jnp.where(on_skin, self.drag * way, 0.0) * axis,
+            free=jnp.where(down, 1.0, 0.0) * normal,
+        ), {"way": way, "clear": clear, "down": down}
 
 
 class BedBathExpert(Expert):
@@ -161,9 +168,9 @@ class BedBathExpert(Expert):
 class ArmAssistExpert(Expert):
     """Hook under the forearm where it hangs over the edge of the bed, lift it, carry it to the waist."""
 
-    pull = 1.5  # m of goal per m that the forearm is away from the waist
-    sink = 0.03  # m, of the hook's platform below the forearm's axis while carrying
-    speeds = (1.0, 0.8, 0.6, 0.6, 1.0)  # m/s, by phase
+    pull = 4.0  # m of goal per m that the forearm is away from the waist
+    sink = 0.055  # m, of the hook's platform below the forearm's axis while carrying
+    speeds = (1.3, 1.0, 0.7, 0.7, 1.3)  # m/s, by phase
 
     def initial_carry(self):
         return {"phase": jnp.int32(0)}
@@ -176,14 +183,14 @@ class ArmAssistExpert(Expert):
         to_waist = s["waist_target_pos"] - wrist
         lift = jnp.clip(0.5 * norm(to_waist * LEVEL), 0.0, 0.05) * UP
         ways = jnp.stack([
-            grip + 0.16 * outside + 0.20 * UP,  # over the hand
-            grip + 0.16 * outside - 0.035 * UP,
+            grip + 0.14 * outside + 0.15 * UP,  # over the hand
+            grip + 0.14 * outside - 0.035 * UP,
             grip - 0.035 * UP,
             pos + 0.05 * UP,
             grip + self.pull * to_waist * LEVEL + lift - self.sink * UP,
         ])  # fmt: skip
         arrived = norm(ways[phase] - pos) < jnp.array([0.12, 0.02, 0.02, 0.0, 0.0])[phase]
-        arrived |= (phase == 3) & (to_waist[2] < -0.035)
+        arrived |= (phase == 3) & (to_waist[2] < -0.02)
         speed = jnp.array(self.speeds)[phase]
         return Goal(ways[phase], frame, speed), {"phase": phase + arrived}
 

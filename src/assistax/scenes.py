@@ -8,18 +8,17 @@ Which geoms touch (contype / conaffinity; two geoms touch if either's type is in
 
     class                                     contype  conaffinity   touches
     robot: tool, mount, hand, links 5-7          1          0        arms, trunk, furniture
-    person's right arm and hand                  2          1        robot, trunk, seat, back rest, supports
-    person's left arm and hand (never driven)    8          1        robot, supports
-    person's head, trunk, pelvis, thighs         0          3        robot, right arm
-    chair's seat and back rest                   0          3        robot, right arm
-    supports: armrests, mattress                 0         11        robot, arms
+    person's arm and hand, if driven             2          1        robot, trunk, furniture
+    the same, if not driven                      0          1        robot
+    person's head, trunk, pelvis, thighs         0          3        robot, driven arm
+    seat, back rest, armrests, mattress          0          3        robot, driven arm
     chair's base and headrest, pillow            0          1        robot
 
 So the robot never touches itself, one arm never the other, and nothing touches the floor. A body and its
 parent never touch in MuJoCo (upper arm and torso overlap at the shoulder by construction).
 
-The trunk leans on the back rest (lies on the mattress) by the lower limit of its joint, which costs one
-constraint row instead of the eight of two box contacts.
+What the person does not drive rests on the furniture by its joint limits, on the side to which gravity
+pulls it: a limit costs one constraint row, a limb on two box contacts eight and the search for them.
 
 Units: m, kg, s, rad, N, N m. World frame: z up.
 """
@@ -41,9 +40,16 @@ HUMAN_JOINTS = (
 )  # fmt: skip
 ROBOT_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 RIGHT_ARM = ("right_shoulder1", "right_shoulder2", "right_elbow")
+LEFT_ARM = ("left_shoulder1", "left_shoulder2", "left_elbow")
 NECK = ("neck_yaw", "neck_pitch")
+LEANS = {"trunk_pitch": -1, **dict(zip(RIGHT_ARM + LEFT_ARM, (1, -1, -1, -1, 1, -1), strict=True))}
+"""The direction in which gravity pulls a joint at rest, in every posture: where its limit holds it."""
 
 NET_FORCE = (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3, 1)  # data="force" reduce="netforce" num="1"
+# Where the robot touches, skin gives way: the less, the deeper (2 mm at 3 N). On a hard contact a sliding
+# tool chatters: it opens and closes every few steps, and a force cannot be held.
+SKIN = (0.01, 0.9, 0.01, 0.5, 2.0)  # solimp
+SKIN_FRICTION = 0.3
 READY_POSE = (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)  # rad
 HUMAN_TORQUE = 10.0  # N m at action 1
 ROBOT_TORQUE = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)  # N m, the Panda's limits
@@ -68,7 +74,7 @@ POSTURES = {
     "seated": Posture(
         pelvis_pos=(0.0, 0.098, 0.6066), yaw=pi / 2, pelvis_pitch=-0.8695, hip=-0.527, knee=1.993,
         rest=(0.0, 0.2, 0.6262, 0.4469, -0.4611, -0.5034, -0.4469, 0.4611, -0.5034),
-        spring=(0.0, 0.2, 0.6262, 0.6006, -0.0681, 0.0, -0.6006, 0.0681, 0.0),
+        spring=(0.0, 0.2, 0.0, -0.5261, 0.3762, 0.0, 0.5261, -0.3762, 0.0),
     ),
     "lying": Posture(
         pelvis_pos=(0.0, 0.0, 0.765), yaw=0.0, pelvis_pitch=-1.558, hip=0.025, knee=0.02,
@@ -157,9 +163,12 @@ def build(config: SceneConfig, visuals: bool = True) -> mujoco.MjSpec:
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
     posture = POSTURES[config.posture]
-    _pose_human(spec, posture)
+    _pose_human(spec, posture, config.human_driven)
     for body in spec.body("robot").find_all("body"):
         body.gravcomp = 1.0  # the real arm's torque interface compensates gravity
+    for geom in spec.body("robot").find_all("geom"):
+        if geom.contype:
+            geom.priority, geom.solimp, geom.friction[0] = 1, SKIN, SKIN_FRICTION
     _add_actuators(spec, config)
     _add_sensors(spec, config)
     for name, view in (("main", config.camera), ("close", config.close)):
@@ -192,8 +201,8 @@ def _attach(spec, part, parent, pos=(0.0, 0.0, 0.0), quat=(1.0, 0.0, 0.0, 0.0)):
         element.name = element.name.removeprefix(f"{part}/")
 
 
-def _pose_human(spec, posture):
-    """Place the pelvis, bend the fixed joints, set the spring references."""
+def _pose_human(spec, posture, driven):
+    """Place the pelvis, bend the fixed joints, set the springs, let rest what is not driven."""
     spec.body("human").pos = posture.pelvis_pos
     spec.body("human").quat = _turn("z", posture.yaw)
     spec.body("pelvis").quat = _turn("y", posture.pelvis_pitch)
@@ -202,8 +211,14 @@ def _pose_human(spec, posture):
         spec.body(f"{side}_shin").quat = _turn("y", posture.knee)
     for name, angle in zip(HUMAN_JOINTS, posture.spring, strict=True):
         spec.joint(name).springref = angle
-    trunk = spec.joint("trunk_pitch")  # nobody leans into the back rest
-    trunk.range = (posture.rest[HUMAN_JOINTS.index("trunk_pitch")], trunk.range[1])
+    for name, side in LEANS.items():
+        if name not in driven:
+            rest, limits = posture.rest[HUMAN_JOINTS.index(name)], spec.joint(name).range
+            spec.joint(name).range = (rest, limits[1]) if side < 0 else (limits[0], rest)
+    for arm, joints in (("right", RIGHT_ARM), ("left", LEFT_ARM)):
+        if not set(joints) & set(driven):
+            for geom in spec.body(f"{arm}_upper_arm").find_all("geom"):
+                geom.contype = 0
 
 
 def _add_actuators(spec, config):

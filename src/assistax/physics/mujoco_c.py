@@ -19,6 +19,7 @@ from mujoco.batch import Batch, SimulationError
 from assistax.physics.engine import OVERFLOW, UNSTABLE, Engine, Overrides, PhysicsState
 
 _STATE = ("qpos", "qvel", "qacc_warmstart")
+_NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 _BAD = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{x}")) for x in ("QPOS", "QVEL", "QACC", "CTRL")]
 
@@ -84,10 +85,19 @@ class MujocoEngine(Engine):
             batch = self._batch(lead, overrides)
             for name, value in zip((*_STATE, "ctrl"), (*rows, ctrl), strict=True):
                 setattr(batch, name, value.reshape(batch.nsim, -1))
-            faults = self._watch(batch, lambda: batch.step(nstep=self.substeps))
+            faults = self._watch(batch, lambda: self._substeps(batch))
             new = [getattr(batch, name) for name in (*_STATE, "sensordata")]
             out = [x.astype(np.float32).reshape(*lead, x.shape[-1]) for x in new]
             return *out, faults.reshape(lead)
+
+    def _substeps(self, batch: Batch) -> None:
+        """One control step. Only its last physics step computes the sensors, as nobody sees the others'."""
+        flags = batch.expand("opt.disableflags")
+        if self.substeps > 1:
+            flags[:] = self.model.opt.disableflags | _NO_SENSORS
+            batch.step(nstep=self.substeps - 1)
+        flags[:] = self.model.opt.disableflags
+        batch.step()
 
     def _host_reinit(self, args, overrides):
         mask, *rows, qpos, qvel, warmstart, sensordata, fault = (np.asarray(a) for a in args)
