@@ -29,6 +29,8 @@ def engine(model):
 def pressing(model):
     """(qpos [2, nq], ctrl [50, 2, nu]): the tool presses on either arm segment with 8 N and a little wavering."""
     poses = [touching_pose(model, body) for body in ("right_forearm", "right_upper_arm")]
+    # A joint exactly at its limit is on either side of it, depending on the engine's rounding.
+    poses = [np.minimum(pose, model.jnt_range[:, 1]) + 1e-4 * (pose - model.jnt_range[:, 0] < 1e-5) for pose in poses]
     rng = np.random.default_rng(0)
     robot = model.nu - 7
     ctrl = rng.uniform(-0.2, 0.2, (50, 2, model.nu))

@@ -110,7 +110,7 @@ def test_layout(scene):
 
 def resting(config):
     """The joints that lie at their limit, on the furniture."""
-    return tuple(name for name in scenes.LEANS if name not in config.human_driven)
+    return tuple(set(scenes.POSTURES[config.posture].held) - set(config.human_driven))
 
 
 def test_human_masses_and_ranges(scene):
@@ -126,7 +126,7 @@ def test_human_masses_and_ranges(scene):
     for name, limits in HUMAN_RANGES.items():
         if name in resting(config):
             angle = start(model).qpos[scenes.qpos_ids(model, (name,))[0]]
-            limits = (angle, limits[1]) if scenes.LEANS[name] < 0 else (limits[0], angle)
+            limits = (angle, limits[1])
         assert model.joint(name).range == pytest.approx(limits, abs=1e-4), name
 
 
@@ -241,7 +241,7 @@ def test_solver_converges(scene):
         model.opt.iterations, model.opt.ls_iterations, model.opt.tolerance = kept
         mujoco.mj_forward(model, data)
         few = data.qacc
-        assert few == pytest.approx(exact, rel=2e-4, abs=1e-3)
+        assert few == pytest.approx(exact, rel=2e-4, abs=2e-3)  # rad/s²
 
 
 def test_without_visuals_is_the_same_physics(scene):

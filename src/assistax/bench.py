@@ -31,20 +31,21 @@ def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
     started_s = time.perf_counter() - began
 
     def act(key):
-        return {a: jax.random.uniform(key, (n,), minval=-1.0, maxval=1.0) for a, n in env.action_sizes.items()}
+        sizes = env.action_sizes.items()
+        return {a: jax.random.uniform(key, (num_envs, n), minval=-1.0, maxval=1.0) for a, n in sizes}
 
     def with_reset(state, key):
-        actions = jax.vmap(act)(jax.random.split(key, num_envs))
+        actions = act(key)
         obs, state, reward, _, _, info = jax.vmap(env.step)(jax.random.split(key, num_envs), state, actions)
         return state, _used(obs, reward, info)
 
     def without_reset(state, key):
-        actions = jax.vmap(act)(jax.random.split(key, num_envs))
+        actions = act(key)
         state, obs, reward, _, _, info = jax.vmap(env.step_env)(state, actions)
         return state, _used(obs, reward, info)
 
     def engine_only(state, key):
-        ctrl = jax.vmap(lambda k: env._ctrl(act(k)))(jax.random.split(key, num_envs))
+        ctrl = jax.vmap(env._ctrl)(act(key))
         physics = jax.vmap(env.engine.step)(state.physics, ctrl)
         return dataclasses.replace(state, physics=physics), physics.fault.max()
 

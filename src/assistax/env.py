@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax import scenes
+from assistax.batching import map_where, whole_batch
 from assistax.config import with_settings
 from assistax.errors import UsageError, choose
 from assistax.human import HumanConfig, HumanProfile, disability, preference
@@ -133,6 +134,7 @@ class Env:
         self._ctrl_mid, self._ctrl_half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
         if config.control == "torque":
             self._ctrl_half *= config.torque_scale
+        self._draw_where = whole_batch(self._draw_batch)
         self._layouts = self._measure_layouts()
         sizes = {who: max(place.stop for place in layout.values()) for who, layout in self._layouts.items()}
         self.observation_sizes = {agent: sizes[agent] for agent in AGENTS}
@@ -170,7 +172,7 @@ class Env:
         """
         end, obs, rewards, terminated, truncated, info = self.step_env(state, actions)
         done = terminated["__all__"] | truncated["__all__"]
-        start = self._draw(key)
+        start = self._draw_where(done, key)
         physics = self.engine.reinit(end.physics, done, start.qpos, start.qvel, start.overrides)
         kept = dataclasses.replace(end, physics=physics)
         state = jax.tree.map(partial(jnp.where, done), self._begin(physics, start, jnp.int32(0)), kept)
@@ -263,6 +265,12 @@ class Env:
         qpos = jnp.clip(self._start + noise[0], limits[:, 0], limits[:, 1])
         phase = jax.random.uniform(phase_key, (self.action_sizes["human"],), maxval=2.0 * jnp.pi)
         return _Start(qpos, noise[1], self.task.reset(task_key), person, phase, overrides)
+
+    def _draw_batch(self, done: jax.Array, keys: jax.Array) -> _Start:
+        """What a reset draws [n, ...] where an episode is done, zeros elsewhere: random bits are not free."""
+        shapes = jax.eval_shape(jax.vmap(self._draw), keys)
+        blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
+        return map_where(jax.vmap(self._draw), done, blank, keys)
 
     def _begin(self, physics: PhysicsState, start: _Start, t) -> EnvState:
         names = ["return", "peak_force", "seconds_over_force_limit", "work_robot", "work_human"]

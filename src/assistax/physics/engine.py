@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax.batching import map_where, whole_batch
 from assistax.errors import SimulationError
 from assistax.pytree import pytree
 
@@ -45,22 +46,28 @@ class Engine(ABC):
 
     def __init__(self, model: mujoco.MjModel, substeps: int):
         self.model, self.substeps = model, substeps
+        self._init, self._reinit = whole_batch(self._start), whole_batch(self._restart)
 
     def init(self, qpos: jax.Array, qvel: jax.Array, overrides: Overrides | None = None) -> PhysicsState:
         """Start at qpos [nq], qvel [nv] with zero controls."""
-        m, overrides = self.model, overrides or {}
-        zeros = [jnp.zeros(n) for n in (m.nq, m.nv, m.nv, m.nsensordata)]
-        return self.reinit(PhysicsState(*zeros, jnp.int32(0), overrides), jnp.bool_(True), qpos, qvel, overrides)
+        return self._init(jnp.asarray(qpos), jnp.asarray(qvel), overrides or {})
+
+    def reinit(
+        self, state: PhysicsState, mask: jax.Array, qpos: jax.Array, qvel: jax.Array, overrides: Overrides
+    ) -> PhysicsState:
+        """`init` where mask (bool) is true, `state` elsewhere; those elsewhere cost nothing."""
+        return self._reinit(state, mask, jnp.asarray(qpos), jnp.asarray(qvel), overrides)
 
     @abstractmethod
     def step(self, state: PhysicsState, ctrl: jax.Array) -> PhysicsState:
         """Hold ctrl [nu] for one control step (`substeps` physics steps)."""
 
     @abstractmethod
-    def reinit(
-        self, state: PhysicsState, mask: jax.Array, qpos: jax.Array, qvel: jax.Array, overrides: Overrides
-    ) -> PhysicsState:
-        """`init` where mask (bool) is true, `state` elsewhere; those elsewhere cost nothing."""
+    def _start(self, qpos: jax.Array, qvel: jax.Array, overrides: Overrides) -> PhysicsState:
+        """`init` of a batch: qpos [n, nq], qvel [n, nv]."""
+
+    def _restart(self, state, mask, qpos, qvel, overrides):
+        return map_where(self._start, mask, state, qpos, qvel, overrides)
 
 
 def check_faults(fault, engine_name: str) -> None:

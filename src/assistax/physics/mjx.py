@@ -2,7 +2,6 @@
 
 import copy
 import io
-from collections.abc import Callable
 from contextlib import redirect_stdout
 from functools import cache
 
@@ -11,6 +10,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax.batching import whole_batch
 from assistax.errors import UsageError
 from assistax.physics.engine import OVERFLOW, UNSTABLE, Engine, Overrides, PhysicsState
 
@@ -28,39 +28,11 @@ with redirect_stdout(io.StringIO()):  # without warp-lang the import prints a ha
 _CONTACT = mujoco.mjtSensor.mjSENS_CONTACT
 
 
-def whole_batch(fn: Callable) -> Callable:
-    """Turn `fn`, which maps arrays with one leading axis, into a function of one environment.
-
-    However many times the result is vmapped, `fn` is called once, with all axes flattened into one:
-    it knows how many environments there are, and its control flow is that of the whole batch.
-    """
-    flat = jax.custom_batching.custom_vmap(fn)
-
-    @flat.def_vmap
-    def _rule(axis_size, in_batched, *args):
-        def merge(x, batched):
-            x = x if batched else jnp.broadcast_to(x, (axis_size, *x.shape))
-            return x.reshape(-1, *x.shape[2:])
-
-        out = flat(*jax.tree.map(merge, args, tuple(in_batched)))
-        out = jax.tree.map(lambda x: x.reshape(axis_size, -1, *x.shape[1:]), out)
-        return out, jax.tree.map(lambda _: True, out)
-
-    def single(*args):
-        return jax.tree.map(lambda x: x[0], flat(*jax.tree.map(lambda x: jnp.asarray(x)[None], args)))
-
-    return single
-
-
 class _MjxBase(Engine):
     """What both implementations share: MuJoCo's state in, one control step, MuJoCo's state out."""
 
     name: str
     _model: mjx.Model
-
-    def __init__(self, model: mujoco.MjModel, substeps: int):
-        super().__init__(model, substeps)
-        self._reinit = whole_batch(self._reinit_batch)
 
     def _data(self, num_envs: int) -> mjx.Data:
         """Empty MJX data with buffers for `num_envs` environments."""
@@ -89,33 +61,12 @@ class _MjxBase(Engine):
         fault |= UNSTABLE * ~jnp.isfinite(data.qpos).all()
         return PhysicsState(data.qpos, data.qvel, data.qacc_warmstart, self._read(data)[0], fault, state.overrides)
 
-    def reinit(self, state: PhysicsState, mask, qpos, qvel, overrides: Overrides) -> PhysicsState:
-        return self._reinit(state, mask, jnp.asarray(qpos), jnp.asarray(qvel), overrides)
-
-    def _reinit_batch(self, state: PhysicsState, mask, qpos, qvel, overrides) -> PhysicsState:
-        """The forward pass of the environments in `mask`, a thirty-second of the batch at a time."""
-        num_envs = mask.shape[0]
-        chunk = -(-num_envs // 32)
-        data = self._data(chunk)
-        ctrl = jnp.zeros(self.model.nu)
-
-        def restart(carry):
-            todo, state = carry
-            ids = jnp.nonzero(todo, size=chunk, fill_value=num_envs)[0]
-            rows = jax.tree.map(lambda x: x.at[ids].get(mode="clip"), (qpos, qvel, overrides))
-            start = PhysicsState(
-                rows[0],
-                rows[1],
-                jnp.zeros((chunk, self.model.nv)),
-                jnp.zeros((chunk, self.model.nsensordata)),
-                jnp.zeros(chunk, jnp.int32),
-                rows[2],
-            )
-            fresh = jax.vmap(lambda s: self._run(data, s, ctrl, 0))(start)
-            state = jax.tree.map(lambda old, new: old.at[ids].set(new, mode="drop"), state, fresh)
-            return todo.at[ids].set(False, mode="drop"), state
-
-        return jax.lax.while_loop(lambda carry: carry[0].any(), restart, (mask, state))[1]
+    def _start(self, qpos, qvel, overrides: Overrides) -> PhysicsState:
+        n, m = len(qpos), self.model
+        zeros = [jnp.zeros((n, size)) for size in (m.nv, m.nsensordata)]
+        start = PhysicsState(qpos, qvel, *zeros, jnp.zeros(n, jnp.int32), overrides)
+        data = self._data(n)
+        return jax.vmap(lambda s: self._run(data, s, jnp.zeros(m.nu), 0))(start)
 
 
 class WarpEngine(_MjxBase):

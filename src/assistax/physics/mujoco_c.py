@@ -8,7 +8,6 @@ calls: the same arguments give the same bits, at any number of threads.
 import threading
 import time
 from collections.abc import Callable
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +18,6 @@ from mujoco.batch import Batch, SimulationError
 from assistax.physics.engine import OVERFLOW, UNSTABLE, Engine, Overrides, PhysicsState
 
 _STATE = ("qpos", "qvel", "qacc_warmstart")
-_NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
 _BAD = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{x}")) for x in ("QPOS", "QVEL", "QACC", "CTRL")]
 
@@ -38,12 +36,13 @@ class MujocoEngine(Engine):
         out = self._call(self._host_step, (*self._rows(state), ctrl), state.overrides)
         return PhysicsState(*out[:4], state.fault | out[4], state.overrides)
 
-    def reinit(self, state: PhysicsState, mask, qpos, qvel, overrides: Overrides) -> PhysicsState:
-        start = (qpos, qvel, jnp.zeros(self.model.nv))
-        overrides = jax.tree.map(partial(jnp.where, mask), overrides, state.overrides)
-        old = (*self._rows(state), state.sensordata, state.fault)
-        out = self._call(self._host_reinit, (mask, *start, *old), overrides)
-        return PhysicsState(*out, overrides)
+    def _start(self, qpos, qvel, overrides: Overrides) -> PhysicsState:
+        idle = jnp.zeros(self.model.nv), jnp.zeros(self.model.nu)
+
+        def one(qpos, qvel, overrides):
+            return PhysicsState(*self._call(self._host_forward, (qpos, qvel, *idle), overrides), overrides)
+
+        return jax.vmap(one)(qpos, qvel, overrides)
 
     @staticmethod
     def _rows(state: PhysicsState):
@@ -53,7 +52,7 @@ class MujocoEngine(Engine):
         m = self.model
         shapes = [jax.ShapeDtypeStruct((n,), jnp.float32) for n in (m.nq, m.nv, m.nv, m.nsensordata)]
         shapes.append(jax.ShapeDtypeStruct((), jnp.int32))
-        return jax.pure_callback(partial(self._timed, host), shapes, args, overrides, vmap_method="broadcast_all")
+        return jax.pure_callback(host, shapes, args, overrides, vmap_method="broadcast_all")
 
     # From here on NumPy only: a callback must not call JAX.
 
@@ -71,51 +70,25 @@ class MujocoEngine(Engine):
             rows[:] = np.reshape(value, rows.shape)
         return batch
 
-    def _timed(self, host, *args):
-        began = time.perf_counter()
-        try:
-            return host(*args)
-        finally:
-            self.seconds += time.perf_counter() - began
-
     def _host_step(self, args, overrides):
+        return self._host(lambda batch: batch.step(nstep=self.substeps), args, overrides)
+
+    def _host_forward(self, args, overrides):
+        return self._host(Batch.forward, args, overrides)
+
+    def _host(self, advance: Callable[[Batch], None], args, overrides):
+        began = time.perf_counter()
         *rows, ctrl = (np.asarray(a) for a in args)
         lead = ctrl.shape[:-1]
         with self._lock:
             batch = self._batch(lead, overrides)
             for name, value in zip((*_STATE, "ctrl"), (*rows, ctrl), strict=True):
                 setattr(batch, name, value.reshape(batch.nsim, -1))
-            faults = self._watch(batch, lambda: self._substeps(batch))
+            faults = self._watch(batch, lambda: advance(batch))
             new = [getattr(batch, name) for name in (*_STATE, "sensordata")]
             out = [x.astype(np.float32).reshape(*lead, x.shape[-1]) for x in new]
+            self.seconds += time.perf_counter() - began
             return *out, faults.reshape(lead)
-
-    def _substeps(self, batch: Batch) -> None:
-        """One control step. Only its last physics step computes the sensors, as nobody sees the others'."""
-        flags = batch.expand("opt.disableflags")
-        if self.substeps > 1:
-            flags[:] = self.model.opt.disableflags | _NO_SENSORS
-            batch.step(nstep=self.substeps - 1)
-        flags[:] = self.model.opt.disableflags
-        batch.step()
-
-    def _host_reinit(self, args, overrides):
-        mask, *rows, qpos, qvel, warmstart, sensordata, fault = (np.asarray(a) for a in args)
-        lead = mask.shape
-        ids = np.flatnonzero(mask)
-        if not ids.size:
-            return qpos, qvel, warmstart, sensordata, fault
-        out = [np.array(x).reshape(mask.size, -1) for x in (qpos, qvel, warmstart, sensordata, fault)]
-        with self._lock:
-            batch = self._batch(lead, overrides)
-            for name, value in zip(_STATE, rows, strict=True):
-                getattr(batch, name)[ids] = value.reshape(mask.size, -1)[ids]
-            batch.bind("ctrl")[ids] = 0.0
-            faults = self._watch(batch, lambda: batch.forward(ids))
-            for x, name in zip(out[:4], (*_STATE, "sensordata"), strict=True):
-                x[ids] = getattr(batch, name)[ids]
-            out[4][ids, 0] = faults[ids]
-        return *(x.reshape(*lead, -1) for x in out[:4]), out[4].reshape(lead)
 
     @staticmethod
     def _watch(batch: Batch, call: Callable[[], None]) -> np.ndarray:
