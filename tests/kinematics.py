@@ -60,3 +60,9 @@ def touching_pose(model, body="right_forearm", depth=0.004):
     pose = solve(model, point, tolerance=1e-4)
     assert pose is not None
     return pose
+
+
+def joints_after(model, data):
+    """(qpos, qvel) at the end of the physics step that data describes the start of: semi-implicit Euler."""
+    qvel = data.qvel + model.opt.timestep * data.qacc
+    return data.qpos + model.opt.timestep * qvel, qvel

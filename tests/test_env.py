@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import random_actions
-from kinematics import solve, touching_pose
+from kinematics import joints_after, solve, touching_pose
 
 import assistax
 from assistax import scenes
@@ -88,15 +88,16 @@ def test_every_observation_slice_equals_mujocos_own_quantity(scratch, start_touc
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, tool.xmat)
         force = contact_force(model, data, tool_only=True)
+        qpos, qvel = joints_after(model, data)
         felt = max(felt, np.linalg.norm(force))
         expected = {
-            "theta_robot": data.qpos[robot],
-            "dtheta_robot": data.qvel[robot],
+            "theta_robot": qpos[robot],
+            "dtheta_robot": qvel[robot],
             "tool_pos": tool.xpos,
             "tool_quat": quat,
             "tool_force": force,
-            "theta_human": data.qpos[human],
-            "dtheta_human": data.qvel[human],
+            "theta_human": qpos[human],
+            "dtheta_human": qvel[human],
             "forearm_pos": data.body("right_forearm").xpos,
             "upper_arm_pos": data.body("right_upper_arm").xpos,
             "target_vector": itch - tool.xpos,

@@ -118,14 +118,11 @@ class Env:
         self._body = disability.Body(model, driven)
         self.action_sizes = {"robot": len(scenes.ROBOT_JOINTS), "human": len(driven)}
         self._gathers = {
-            "theta_robot": self._columns("pos_", scenes.ROBOT_JOINTS),
-            "dtheta_robot": self._columns("vel_", scenes.ROBOT_JOINTS),
-            "theta_human": self._columns("pos_", scenes.HUMAN_JOINTS),
-            "dtheta_human": self._columns("vel_", scenes.HUMAN_JOINTS),
             "torque_robot": self._columns("torque_", scenes.ROBOT_JOINTS),
             "torque_human": self._columns("torque_", driven),
-            "dtheta_driven": self._columns("vel_", driven),
         }
+        joints = {"robot": scenes.ROBOT_JOINTS, "human": scenes.HUMAN_JOINTS, "driven": driven}
+        self._joints = {name: scenes.qpos_ids(model, which) for name, which in joints.items()}
         key = model.key("start")
         movable = np.zeros(model.nq)
         movable[scenes.qpos_ids(model, (*scenes.HUMAN_JOINTS, *scenes.ROBOT_JOINTS))] = 1.0
@@ -233,9 +230,11 @@ class Env:
         return Box((self.action_sizes[choose("agent", agent, AGENTS)],), -1.0, 1.0)
 
     def sensors(self, physics: PhysicsState) -> Sensors:
-        """The named sensors of a state, all of one instant."""
-        named = {name: physics.sensordata[place] for name, place in self._slices.items()}
-        return named | {name: physics.sensordata[columns] for name, columns in self._gathers.items()}
+        """The named sensors of a state, all of one instant, and its joints, 2 ms later (see PhysicsState)."""
+        s = {name: physics.sensordata[place] for name, place in self._slices.items()}
+        s |= {name: physics.sensordata[columns] for name, columns in self._gathers.items()}
+        s |= {f"theta_{name}": physics.qpos[ids] for name, ids in self._joints.items()}
+        return s | {f"dtheta_{name}": physics.qvel[ids] for name, ids in self._joints.items()}
 
     def metrics(self, state: EnvState) -> dict[str, jax.Array]:
         """Outcome of the episode so far; after its last step, of the whole episode.

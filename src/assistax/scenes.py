@@ -260,7 +260,7 @@ def _add_actuators(spec, config):
 
 
 def _add_sensors(spec, config):
-    """Joints, tool, arm, mouth, targets; the two contact forces last.
+    """Motors, tool, arm, mouth, targets; the two contact forces last. Joints are read from the state.
 
     ``tool_force``: net force of the tool's working surface on the person; ``robot_force``: of the whole
     robot on the person (N, world frame).
@@ -270,11 +270,6 @@ def _add_sensors(spec, config):
     def sense(name, type_, objtype, objname, **kwargs):
         spec.add_sensor(name=name, type=type_, objtype=objtype, objname=objname, **kwargs)
 
-    joints = HUMAN_JOINTS + ROBOT_JOINTS
-    for joint in joints:
-        sense(f"pos_{joint}", kind.mjSENS_JOINTPOS, obj.mjOBJ_JOINT, joint)
-    for joint in joints:
-        sense(f"vel_{joint}", kind.mjSENS_JOINTVEL, obj.mjOBJ_JOINT, joint)
     for joint in (*config.human_driven, *ROBOT_JOINTS):  # N m, as the actuator exerts it
         sense(f"torque_{joint}", kind.mjSENS_ACTUATORFRC, obj.mjOBJ_ACTUATOR, joint)
     pos, quat = kind.mjSENS_FRAMEPOS, kind.mjSENS_FRAMEQUAT

@@ -6,8 +6,7 @@ import jax
 import mujoco
 
 Sensors = dict[str, jax.Array]
-"""The scene's sensors by name, all of one instant, plus `theta_robot`, `dtheta_robot`,
-`theta_human`, `dtheta_human`, `torque_robot` and `torque_human` gathered from the joints'."""
+"""The scene's sensors by name, plus the joints' `theta_`, `dtheta_` and `torque_` by `robot` and `human`."""
 
 TaskState = Any
 """A pytree: what the reset drew (targets) and what the episode has achieved so far."""
