@@ -104,3 +104,18 @@ def test_the_expert_asks_for_torque_control():
     env = assistax.make("scratch", engine="mujoco", control="position")
     with pytest.raises(UsageError, match="torque"):
         expert(env)
+
+
+@pytest.mark.parametrize("name", ["scratch", "feeding"])
+def test_the_considerate_expert_is_liked_more(name):
+    env = assistax.make(name, engine="mujoco", human={"preference": "speed=0.03:0.05 force=1:1.5"})
+    plain, considerate = (
+        play(env, scripted_team(policy, env), episodes=3)["metrics"] for policy in ("expert", "considerate")
+    )
+    assert considerate["preference_return"].mean() > 1.05 * plain["preference_return"].mean()
+    assert considerate["task_return"].mean() > 0.9 * plain["task_return"].mean()
+
+
+def test_a_considerate_expert_needs_someone_to_consider(envs):
+    with pytest.raises(UsageError, match=r"env\.human\.preference"):
+        scripted_team("considerate", envs["scratch"])

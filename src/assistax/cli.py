@@ -112,7 +112,7 @@ def evaluate(
 
     Args:
       target: a run folder, or a task together with --policy.
-      policy: with a task, who plays: still, random, or expert (the robot; with it the human is still,
+      policy: with a task, who plays: still, random, expert or considerate (the robot; the human is then still,
         or comes toward the tool: offer, or away from it: withdraw).
       episodes: how many (intervals are over them).
       engine: auto, mujoco, warp or mjx (default: as the run, else auto).
@@ -154,7 +154,7 @@ def render(
     Args:
       target: a run folder, or a task together with --policy.
       out: an .mp4, or a .png of the last moment (default TASK.mp4).
-      policy: with a task, who plays: still, random, or expert (the robot; with it the human is still,
+      policy: with a task, who plays: still, random, expert or considerate (the robot; the human is then still,
         or comes toward the tool: offer, or away from it: withdraw).
       engine: auto, mujoco, warp or mjx (default: as the run, else auto).
       seed: of the episode's draws; fixed unless given.
@@ -368,7 +368,7 @@ def _teams(target: str, policy: str | None, engine: str | None, assignments: tup
         return env, [scripted_team(policy, env)], {"task": target, "policy": policy}
     if not Path(target).is_dir():
         if target in TASKS:
-            raise UsageError(f"Say who plays {target}: --policy still, random or expert, or give a run folder.")
+            raise UsageError(f"Say who plays {target}: --policy still, random, expert, ..., or give a run folder.")
         raise UsageError(f"{target!r} is neither a run folder nor a task ({', '.join(TASKS)}) with --policy.")
     run = Run.open(Path(target), settings, engine=engine)
     return run.env, run.teams(), {"task": run.config.task, "run": target}

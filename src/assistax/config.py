@@ -25,7 +25,7 @@ def with_settings(config: T, settings: Mapping[str, Any], also: Iterable[str] = 
         head, _, rest = name.partition(".")
         choose("setting", prefix + head, [prefix + n for n in (*hints, *also)])
         inner = getattr(config, head)
-        if dataclasses.is_dataclass(inner):
+        if dataclasses.is_dataclass(inner) and not isinstance(value, type(inner)):
             if rest:
                 nested.setdefault(head, {})[rest] = value
             elif isinstance(value, Mapping):

@@ -21,7 +21,8 @@ def play(env: Env, team: Team, episodes: int, seed: int = EVALUATION_SEED) -> di
     Returns:
       arrays by name, first axis the episode: "terms" (each reward term's sum over the episode),
       "metrics" (see Env.metrics, at the episode's last step), "force" [episodes, T] in N, "playing"
-      [episodes, T] whether the episode was still on, "qpos" [episodes, T, nq], "marker" [.., T, 3].
+      [episodes, T] whether the episode was still on, "qpos" [episodes, T, nq], "marker" [.., T, 3],
+      "person" [episodes] the row of the list of people that the reset drew.
     """
     if episodes < 1:
         raise UsageError(f"episodes must be 1 or more, not {episodes}.")
@@ -30,6 +31,7 @@ def play(env: Env, team: Team, episodes: int, seed: int = EVALUATION_SEED) -> di
     def one(params, key):
         reset_key, key = jax.random.split(key)
         obs, state = env.reset(reset_key)
+        person = state.person.index
         carries = {agent: policy.initial_carry() for agent, (policy, _) in team.items()}
 
         def step(carry, key):
@@ -51,6 +53,7 @@ def play(env: Env, team: Team, episodes: int, seed: int = EVALUATION_SEED) -> di
         return {
             "terms": jax.tree.map(lambda x: jnp.sum(x * on), out["reward_terms"]),
             "metrics": jax.tree.map(lambda x: x[last], out["metrics"]),
+            "person": person,
             "fault": jnp.where(on, out["fault"], 0).max(),
             **{name: out[name] for name in ("force", "playing", "qpos", "marker")},
         }

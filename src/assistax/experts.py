@@ -42,12 +42,27 @@ class Goal(NamedTuple):
     free: jax.Array | float = 0.0  # [3] unit: along it force rules, not pos; 0 for none
 
 
+class Manner(NamedTuple):
+    """How a script plays: with strokes or circles of this pace, pressing with this force."""
+
+    pace: jax.Array | float  # m/s
+    force: jax.Array | float  # N
+
+
 class Expert:
-    """A robot that follows a script of goals."""
+    """A robot that follows a script of goals.
+
+    A considerate one keeps pace and force inside what the person likes; that is all it knows of the person.
+    """
 
     privileged = True
+    pace = 0.0  # m/s
+    force = 0.0  # N
 
-    def __init__(self, env):
+    def __init__(self, env, considerate: bool = False):
+        if considerate and not env.config.human.preferring:
+            raise UsageError("A considerate expert needs a person with preferences: env.human.preference=default.")
+        self.considerate = considerate
         if env.config.control != "torque":
             raise UsageError(f"The expert plays with env.control=torque only, not {env.config.control!r}.")
         self.env = env
@@ -61,16 +76,26 @@ class Expert:
         """The script's memory."""
         return ()
 
-    def goal(self, carry, s, task, pos, rot):
-        """(Goal, carry) from the sensors, the task's state and the tool's pose [3], [3, 3]."""
+    def goal(self, carry, s, task, pos, rot, manner):
+        """(Goal, carry) from the sensors, the task's state, the tool's pose [3], [3, 3] and the manner."""
         raise NotImplementedError
+
+    def manner(self, liked) -> Manner:
+        """The script's own, moved into the middle half of what the person likes if considerate."""
+        if not self.considerate:
+            return Manner(self.pace, self.force)
+        inside = (jnp.array([0.75, 0.25]) @ liked.speed, jnp.array([0.25, 0.75]) @ liked.speed)
+        bearable = (jnp.array([0.75, 0.25]) @ liked.force, jnp.array([0.25, 0.75]) @ liked.force)
+        return Manner(jnp.clip(self.pace, *inside), jnp.clip(self.force, *bearable))
 
     def act(self, params, carry, state, reset, key):
         qpos, qvel = state.physics.qpos, state.physics.qvel[self._ids]
         pos, rot, jacobian = self.tool(qpos)
         start = self.initial_carry()
         carry = jax.tree.map(lambda new, old: jnp.where(reset, new, old), start, carry)
-        goal, carry = self.goal(carry, self.env.sensors(state.physics), state.task, pos, rot)
+        goal, carry = self.goal(
+            carry, self.env.sensors(state.physics), state.task, pos, rot, self.manner(state.person.preference)
+        )
         velocity = jacobian @ qvel
         error = goal.pos - pos
         error -= goal.free * jnp.dot(goal.free * jnp.ones(3), error)
@@ -90,18 +115,18 @@ class ScratchExpert(Expert):
     """Stick on the skin with 3 N, strokes of 6 cm along the limb."""
 
     stroke = 0.03  # m, to either side of the itch
-    speed = 0.06  # m/s
-    force = 3.0  # N
+    pace = 0.06
+    force = 3.0
     drag = 1.5  # N, to overcome friction
 
-    def __init__(self, env):
-        super().__init__(env)
+    def __init__(self, env, considerate: bool = False):
+        super().__init__(env, considerate)
         self._base = jnp.array(scenes.SCENES[env.name].robot_pos)
 
     def initial_carry(self):
         return {"way": jnp.float32(1.0), "clear": jnp.bool_(False), "down": jnp.bool_(False)}
 
-    def goal(self, carry, s, task, pos, rot):
+    def goal(self, carry, s, task, pos, rot, manner):
         t = self.env.task
         upper = task.segment == 0
         frame = spatial.matrix(jnp.where(upper, s["upper_arm_quat"], s["forearm_quat"]))
@@ -125,8 +150,8 @@ class ScratchExpert(Expert):
         return Goal(
             jnp.where(down, itch + jnp.clip(along, -self.stroke, self.stroke) * axis, place),
             _turn_to(rot, stick),
-            drift=jnp.where(on_skin, self.speed * way, 0.0) * axis,
-            press=jnp.where(down, -self.force, 0.0) * normal + jnp.where(on_skin, self.drag * way, 0.0) * axis,
+            drift=jnp.where(on_skin, manner.pace * way, 0.0) * axis,
+            press=jnp.where(down, -manner.force, 0.0) * normal + jnp.where(on_skin, self.drag * way, 0.0) * axis,
             free=jnp.where(down, 1.0, 0.0) * normal,
         ), {"way": way, "clear": clear, "down": down}
 
@@ -134,12 +159,13 @@ class ScratchExpert(Expert):
 class BedBathExpert(Expert):
     """Pad flat on the ridge of the arm, 5 N, from the shoulder to the wrist at an even pace."""
 
-    seconds = 6.0  # from end to end
+    pace = 0.08
+    force = 5.0
 
     def initial_carry(self):
         return {"progress": jnp.float32(0.0)}
 
-    def goal(self, carry, s, task, pos, rot):
+    def goal(self, carry, s, task, pos, rot, manner):
         progress = carry["progress"]
         points, ups = [], []
         for segment, local in zip(SEGMENTS, self.env.task.points, strict=True):
@@ -156,11 +182,12 @@ class BedBathExpert(Expert):
         off = pos - on_skin
         above = norm(off - up * (off @ up)) < 0.03
         touching = above & (off @ up < 0.05)
-        progress += jnp.where(touching, self.env.dt / self.seconds, 0.0)
+        length = norm(points[1:] - points[:-1]).sum()
+        progress += jnp.where(touching, manner.pace * self.env.dt / length, 0.0)
         return Goal(
             jnp.where(above, on_skin, on_skin + 0.06 * up),
             _turn_to(rot, -up),
-            press=jnp.where(above, -5.0, 0.0) * up,
+            press=jnp.where(above, -manner.force, 0.0) * up,
             free=jnp.where(above, 1.0, 0.0) * up,
         ), {"progress": jnp.minimum(progress, 1.0)}
 
@@ -171,11 +198,12 @@ class ArmAssistExpert(Expert):
     pull = 4.0  # m of goal per m that the forearm is away from the waist
     sink = 0.055  # m, of the hook's platform below the forearm's axis while carrying
     speeds = (1.3, 1.0, 0.7, 0.7, 1.3)  # m/s, by phase
+    radius = 0.03  # m, of the circles in which a considerate expert rocks the arm
 
     def initial_carry(self):
-        return {"phase": jnp.int32(0)}
+        return {"phase": jnp.int32(0), "angle": jnp.float32(0.0)}
 
-    def goal(self, carry, s, task, pos, rot):
+    def goal(self, carry, s, task, pos, rot, manner):
         phase = carry["phase"]
         wrist, frame = s["wrist_target_pos"], spatial.matrix(s["wrist_target_quat"])
         outside = spatial.unit(frame[:, 0] * LEVEL)  # the side away from the trunk
@@ -192,7 +220,11 @@ class ArmAssistExpert(Expert):
         arrived = norm(ways[phase] - pos) < jnp.array([0.12, 0.02, 0.02, 0.0, 0.0])[phase]
         arrived |= (phase == 3) & (to_waist[2] < -0.02)
         speed = jnp.array(self.speeds)[phase]
-        return Goal(ways[phase], frame, speed), {"phase": phase + arrived}
+        rocking = (phase == 4) & (norm(to_waist * LEVEL) < 0.1)
+        angle = carry["angle"] + rocking * manner.pace * self.env.dt / self.radius
+        circle, stroke = _circle(angle, self.radius, manner.pace, jnp.eye(3)[0], jnp.eye(3)[1])
+        goal = Goal(ways[phase] + rocking * circle, frame, speed, drift=rocking * stroke)
+        return goal, {"phase": phase + arrived, "angle": angle}
 
 
 class FeedingExpert(Expert):
@@ -203,11 +235,13 @@ class FeedingExpert(Expert):
 
     bearing = 1.0  # rad, from straight ahead toward the robot
     roll = 0.7  # rad, at the mouth
+    force = 1.8
+    share = 0.55  # of the force felt that is pressed; the rest is the hand's pull to the mouth
 
     def initial_carry(self):
         return {"level": jnp.bool_(False)}
 
-    def goal(self, carry, s, task, pos, rot):
+    def goal(self, carry, s, task, pos, rot, manner):
         mouth, face = s["mouth_pos"], spatial.matrix(s["mouth_quat"])
         forward = spatial.unit(face[:, 0] * LEVEL)
         right = jnp.cross(forward, UP)  # the person's right, where the robot stands
@@ -226,7 +260,7 @@ class FeedingExpert(Expert):
             jnp.where(level, mouth + jnp.where(near, 0.0, 0.02) * forward, front),
             turned,
             speed,
-            press=jnp.where(near, -1.0, 0.0) * forward,
+            press=jnp.where(near, -self.share * manner.force, 0.0) * forward,
             free=jnp.where(near, 1.0, 0.0) * forward,
         ), {"level": level}
 
@@ -234,15 +268,16 @@ class FeedingExpert(Expert):
 class ToothBrushingExpert(Expert):
     """Brush level and across the mouth, bristles on it, in small circles."""
 
-    radius = 0.012  # m, of the circles
-    speed = 0.045  # m/s
-    force = 1.5  # N
+    radius = 0.016  # m, of the circles
+    pace = 0.045
+    force = 2.1
+    share = 0.7  # of the force felt that is pressed; the rest is the pull of the circles
     bearing = 0.15  # rad, by which the bristles look past the mouth
 
     def initial_carry(self):
         return {"angle": jnp.float32(0.0), "there": jnp.bool_(False)}
 
-    def goal(self, carry, s, task, pos, rot):
+    def goal(self, carry, s, task, pos, rot, manner):
         mouth, face = s["mouth_pos"], spatial.matrix(s["mouth_quat"])
         ahead = spatial.unit(face[:, 0] * LEVEL)
         left = jnp.cross(UP, ahead)
@@ -253,14 +288,13 @@ class ToothBrushingExpert(Expert):
         aligned = jnp.trace(rot.T @ turned) > 2.9
         there = carry["there"] | (aligned & (norm(front - pos) < 0.02))
         near = there & (norm(mouth - pos) < 0.04)
-        angle = carry["angle"] + jnp.where(near, self.speed * self.env.dt / self.radius, 0.0)
-        circle = self.radius * (jnp.cos(angle) * left + jnp.sin(angle) * UP)
-        stroke = self.speed * (-jnp.sin(angle) * left + jnp.cos(angle) * UP)
+        angle = carry["angle"] + near * manner.pace * self.env.dt / self.radius
+        circle, stroke = _circle(angle, self.radius, manner.pace, left, UP)
         return Goal(
             jnp.where(there, mouth + near * circle, front),
             turned,
             drift=near * stroke,
-            press=jnp.where(there, -self.force, 0.0) * ahead,
+            press=jnp.where(there, -self.share * manner.force, 0.0) * ahead,
             free=jnp.where(there, 1.0, 0.0) * ahead,
         ), {"angle": angle, "there": there}
 
@@ -274,9 +308,9 @@ EXPERTS = {
 }
 
 
-def expert(env) -> Expert:
+def expert(env, considerate: bool = False) -> Expert:
     """The robot expert of the environment's task."""
-    return EXPERTS[env.name](env)
+    return EXPERTS[env.name](env, considerate)
 
 
 class Reflex:
@@ -311,6 +345,12 @@ def _at_most(vector: jax.Array, length) -> jax.Array:
     return vector * jnp.minimum(1.0, length / jnp.maximum(norm(vector), 1e-9))
 
 
+def _circle(angle, radius, pace, right, up):
+    """(offset [3] in m, velocity [3] in m/s) on a circle between two unit vectors; none at pace 0."""
+    offset = radius * (pace > 0) * (jnp.cos(angle) * right + jnp.sin(angle) * up)
+    return offset, pace * (jnp.cos(angle) * up - jnp.sin(angle) * right)
+
+
 def _turn_to(rot: jax.Array, direction: jax.Array) -> jax.Array:
     """The rotation [3, 3] nearest to rot whose z axis is the unit vector `direction`."""
     x = rot[:, 0] - direction * (rot[:, 0] @ direction)
@@ -320,39 +360,3 @@ def _turn_to(rot: jax.Array, direction: jax.Array) -> jax.Array:
 
 BOUNDS = {"scratch": 1000, "bed_bath": 1156, "arm_assist": 11280, "feeding": 4700, "tooth_brushing": 3140}
 """The paper's upper bounds of the return per episode of 1000 steps."""
-
-
-def table(episodes: int = 64, engine: str = "auto") -> str:
-    """How every expert does with a still person, as a Markdown table; takes a minute or two."""
-    from assistax.env import make
-    from assistax.evaluation import evaluate
-    from assistax.policies import scripted_team
-
-    rows = ["| task | success | return | of the paper's bound | force in contact, N | 95 % below, N | peak, N |"]
-    rows.append("|---|---|---|---|---|---|---|")
-    for name, bound in BOUNDS.items():
-        env = make(name, engine)
-        report = evaluate(env, scripted_team("expert", env), episodes)
-        force, value = report["force"], report["mean_return"]
-        rows.append(
-            f"| {name} | {report['success_rate']:.0%} | {value:.0f} | {value / bound:.0%} "
-            f"| {force['mean_in_contact']:.1f} | {force['p95']:.1f} | {force['peak']:.0f} |"
-        )
-    return "\n".join(rows)
-
-
-PAGE = """# Scripted experts
-
-Each task has a scripted robot that knows the whole simulator state (`src/assistax/experts.py`). The table is
-its play with a still person, {episodes} episodes on the evaluation seeds. This page is written by
-`python -m assistax.experts > docs/experts.md`.
-
-{table}
-
-Scratching and brushing succeed only while the tool slides with a force in a narrow band. This controller
-holds the force while the tool stands still on the skin, but not while it slides: the contact then opens and
-closes within a few physics steps, with several times the wanted force while it lasts.
-"""
-
-if __name__ == "__main__":
-    print(PAGE.format(episodes=64, table=table(64)), end="")

@@ -101,6 +101,7 @@ SCRIPTED = {  # by name, who plays the robot and who the human
     "still": ("still", "still"),
     "random": ("random", "random"),
     "expert": ("expert", "still"),
+    "considerate": ("considerate", "still"),
     "offer": ("expert", "offer"),
     "withdraw": ("expert", "withdraw"),
 }
@@ -109,14 +110,14 @@ Team = dict[str, tuple[Policy, Any]]
 
 
 def scripted_policy(name: str, env, agent: str) -> Policy:
-    """The policy called `name` for one seat: "still", "random", the robot's "expert", the human's
+    """The policy called `name` for one seat: "still", "random", the robot's "expert" or "considerate", the human's
     "offer" or "withdraw"."""
     from assistax.experts import Reflex, expert
 
     size = env.action_sizes[agent]
     makers: dict[str, Callable[[], Policy]] = {"still": lambda: Still(size), "random": lambda: Random(size)}
     if agent == "robot":
-        makers["expert"] = lambda: expert(env)
+        makers |= {"expert": lambda: expert(env), "considerate": lambda: expert(env, considerate=True)}
     else:
         makers |= {"offer": lambda: Reflex(env, 1.0), "withdraw": lambda: Reflex(env, -1.0)}
     return makers[choose(f"{agent}'s policy", name, makers)]()
