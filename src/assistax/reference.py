@@ -1,21 +1,30 @@
-"""What the scripted policies reach, as a page: `python -m assistax.reference > docs/experts.md`."""
+"""Pages of the documentation that are measured, not typed:
 
+python -m assistax.reference experts > docs/experts.md
+python -m assistax.reference speed > docs/speed.md
+"""
+
+import json
+import sys
+from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
 from assistax.env import make
+from assistax.errors import choose
 from assistax.evaluation import evaluate, play, summarize
 from assistax.experts import BOUNDS
 from assistax.human import DISABILITIES
 from assistax.policies import scripted_team
 
 EPISODES = 64
-PAGE = """# Scripted policies
+EXPERTS_PAGE = """# Scripted policies
 
 Each task has a scripted robot, the expert, that knows the whole simulator state (`src/assistax/experts.py`).
 All numbers are over {episodes} episodes on the evaluation seeds; the person is still unless said otherwise. This page
-is written by `python -m assistax.reference > docs/experts.md` in some minutes.
+is written by `python -m assistax.reference experts > docs/experts.md` in some minutes.
 
 ## Expert
 
@@ -102,6 +111,62 @@ def _per_episode(result: dict[str, Any]) -> dict[str, Any]:
     return {name: result[name] for name in ("terms", "metrics", "force", "playing")}
 
 
-if __name__ == "__main__":
+SPEED_PAGE = """# Speed
+
+Open loop, everything included (observations, rewards, auto-reset, random actions), {num_envs} environments, the
+`{engine}` engine on {hardware}; `assistax bench TASK --train --json` at commit {commit}. Written from
+`results/bench/*.json` by `python -m assistax.reference speed > docs/speed.md`.
+
+{ours}
+
+Beside Assistive Gym on the same two cores (two processes, Panda and acting human, resets not counted), and the paper's
+figures for its own implementation on an A100 with 1024 environments. An environment step is 8 ms of 4 physics steps
+here and 0.1 s of 5 there, so that there are three ratios:
+
+{others}
+"""
+ASSISTIVE_GYM = {"scratch": 301, "bed_bath": 138, "arm_assist": 217, "feeding": 326}  # env steps/s
+PAPER_A100 = {"scratch": 31_698, "bed_bath": 39_945, "arm_assist": 39_154}  # env steps/s, its table of speeds
+
+
+def speed(folder: Path) -> str:
+    reports = {task: json.loads((folder / f"{task}.json").read_text()) for task in BOUNDS}
+    ours, others = [], []
+    for task, r in reports.items():
+        rate = r["env_steps_per_s"]
+        ours.append([task, f"{rate:,}", f"{r['physics_steps_per_s']:,}", f"{r['simulated_seconds_per_s']:.0f}"])
+        ours[-1] += [f"{r['env_over_engine']:.0%}", f"{r['training_steps_per_s']:,}", f"{r['peak_memory_mb']:,}"]
+        if theirs := ASSISTIVE_GYM.get(task):
+            ratios = (
+                rate / theirs,
+                r["physics_steps_per_s"] / (5 * theirs),
+                r["simulated_seconds_per_s"] / (0.1 * theirs),
+            )
+            paper = f"{rate / PAPER_A100[task]:.2f}x" if task in PAPER_A100 else ""
+            others.append([task, *(f"{ratio:.0f}x" if ratio > 10 else f"{ratio:.1f}x" for ratio in ratios), paper])
+    mean = np.mean([r["env_steps_per_s"] for r in reports.values()])
+    ours.append(["mean", f"{mean:,.0f}", "", "", "", "", ""])
+    head = ["task", "env steps/s", "physics steps/s", "simulated s/s", "of the bare engine"]
+    head += ["IPPO training, env steps/s (paper's preset)", "peak memory, MB"]
+    other = [
+        "task",
+        "env steps against Assistive Gym",
+        "physics steps",
+        "simulated seconds",
+        "env steps against the A100",
+    ]
+    tables = {"ours": markdown(head, ours), "others": markdown(other, others)}
+    return SPEED_PAGE.format(
+        **tables, **{k: reports["scratch"][k] for k in ("num_envs", "engine", "hardware", "commit")}
+    )
+
+
+def main(page: str) -> str:
+    if page == "speed":
+        return speed(Path("results/bench"))
     tables = {"experts": experts(), "nobody": nobody(), "disabled": disabled(), "considerate": considerate()}
-    print(PAGE.format(episodes=EPISODES, **tables), end="")
+    return EXPERTS_PAGE.format(episodes=EPISODES, **tables)
+
+
+if __name__ == "__main__":
+    print(main(choose("page", sys.argv[-1], ["experts", "speed"])), end="")
