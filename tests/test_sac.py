@@ -438,6 +438,7 @@ class Wide(Carrying):
         return jnp.zeros(self.global_size)
 
 
+@pytest.mark.slow  # a timing: not for machines that are busy
 def test_a_gradient_step_costs_what_its_networks_cost():
     """Within 1.3, measured alone; here with room for a machine that others use."""
     trainer = SAC(Wide(), SACConfig(buffer_size=20_000), num_envs=64, total_iterations=1)
