@@ -38,7 +38,8 @@ Both agents still, and both random:
 
 ## Expert with people who differ
 
-The person does nothing on purpose, so weakness and limited range hardly show; tremor moves the arm or head.
+The person does nothing on purpose, so weakness and limited range show only where the robot moves the person: with
+half the range left, the forearm of arm assist cannot come within 0.1 m of the waist. Tremor moves the arm or head.
 Success, and in brackets the mean force in contact in N:
 
 {disabled}
