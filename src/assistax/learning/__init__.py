@@ -1,1 +1,1 @@
-"""Learning: one PPO for teams, and the separately tested parts it is made of."""
+"""Learning: one PPO and one SAC for teams, and the separately tested parts it is made of."""
