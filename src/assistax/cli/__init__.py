@@ -1,0 +1,33 @@
+"""The command line: `assistax --help`."""
+
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import tyro
+
+from assistax.cli.about import bench, doctor, humans, tasks
+from assistax.cli.playing import evaluate, gallery, render
+from assistax.cli.training import train
+from assistax.errors import AssistaxError
+
+
+def main() -> None:
+    """Entry point of the `assistax` command."""
+    commands: dict[str, Any] = {f.__name__: f for f in (train, evaluate, render, gallery, tasks, humans, doctor, bench)}
+    # Programs without physics are compiled once per machine; read when JAX is first imported.
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "assistax" / "jax"
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            commands,
+            prog="assistax",
+            description="A robot arm and a person, both with policies of their own: train, evaluate, watch.",
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
+    except AssistaxError as error:
+        print(f"assistax: {error}", file=sys.stderr)
+        sys.exit(2)
+    except BrokenPipeError:  # the reader has seen enough, as in `assistax humans --people paper630 | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

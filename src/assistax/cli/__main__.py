@@ -1,0 +1,3 @@
+from assistax.cli import main
+
+main()

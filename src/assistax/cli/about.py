@@ -1,0 +1,123 @@
+"""`assistax tasks`, `humans`, `doctor` and `bench`."""
+
+import sys
+
+from assistax.cli.common import Json, Task, print_json, print_table
+
+
+def tasks(*, json: Json = False) -> None:
+    """List the tasks.
+
+    Args:
+      json: print JSON, with the sizes of observations and actions.
+    """
+    from assistax.env import make
+    from assistax.tasks import TASKS
+
+    if not json:
+        for name, task in TASKS.items():
+            print(f"{name:16} {task.title}")
+        return
+    listing = {}
+    for name, task in TASKS.items():
+        env = make(name, engine="mujoco")
+        listing[name] = {
+            "title": task.title,
+            "observations": env.observation_sizes | {"global": env.global_size},
+            "actions": env.action_sizes,
+            "episode_length": env.config.episode_length,
+            "control_period_s": env.dt,
+        }
+    print_json(listing)
+
+
+def humans(*, people: str | None = None, seed: int = 0, json: Json = False) -> None:
+    """Say who the person can be: the seven standard disabilities, and a preference in words.
+
+    Any of them can be trained with or evaluated on:
+      assistax train scratch --set env.human.disability=tremor+weakness env.human.preference=default
+      assistax train scratch --set "env.human.disability=strength=0.5 tremor=0.2 tremor_hz=4 motion=0.7"
+      assistax train scratch --set "env.human.preference=speed=0.05:0.09 force=1.2:2 weights=0.3,0.35,-0.03"
+
+    Or drawn at every reset: one of the seven and a preference of the paper's sweep; one of the paper's
+    population of 630; one of your own list. The robot may be kept from seeing the preference:
+      assistax train scratch --set env.human.disability=standard env.human.preference=sweep
+      assistax train scratch --set env.human.people=paper630 env.human.visibility=human
+      assistax humans --people paper630 --json > people.json
+      assistax train scratch --set env.human.people=people.json
+
+    Args:
+      people: list these instead: paper630 or a JSON file.
+      seed: of the drawn preference.
+      json: print JSON; with --people in the form of such a file.
+    """
+    import jax
+
+    from assistax.human import DISABILITIES, disability, population, preference
+
+    if people is not None:
+        listed = population.people(people)
+        if json:
+            print_json([vars(person) for person in listed])
+            return
+        for i, person in enumerate(listed):
+            words = "" if person.preference == "none" else preference.describe(preference.parse(person.preference))
+            print(f"{i:4} {person.disability:34} {words}")
+        return
+    liked = preference.sample(jax.random.key(seed))
+    words = preference.describe(liked)
+    if json:
+        vector = [round(float(x), 4) for x in preference.vector(liked)]
+        ranges = {"disability": disability.RANGES, "preference": preference.RANGES, "weights": preference.WEIGHTS}
+        drawn = {"preference": vector, "spelling": preference.spell(liked), "words": words}
+        print_json({"disabilities": DISABILITIES, "ranges": ranges, **drawn})
+        return
+    for name, parts in DISABILITIES.items():
+        print(f"{name:34} {' '.join(f'{part}={value:g}' for part, value in parts.items())}")
+    print(f"\nperson {seed} {words}")
+
+
+def doctor(*, json: Json = False) -> None:
+    """Say what is installed, which engine is used and why; step and render for two seconds.
+
+    Args:
+      json: print JSON.
+    """
+    from assistax.doctor import diagnose
+
+    report = diagnose()
+    if json:
+        print_json(report)
+    else:
+        print_table(report)
+    if "FAILED" in report["self_test"] + report["rendering"]:
+        sys.exit(1)
+
+
+def bench(
+    task: Task,
+    *,
+    engine: str = "auto",
+    num_envs: int = 1024,
+    seconds: float = 10.0,
+    train: bool = False,
+    json: Json = False,
+) -> None:
+    """Measure speed on this machine: the environment beside its bare physics engine.
+
+    Args:
+      task: `assistax tasks` lists them.
+      engine: auto, mujoco, warp or mjx.
+      num_envs: environments side by side.
+      seconds: how long to measure, after compilation.
+      train: also time IPPO training with the paper's preset.
+      json: print JSON.
+    """
+    from assistax.bench import bench, bench_training
+    from assistax.env import make
+
+    env = make(task, engine)
+    report = bench(env, num_envs, seconds)
+    if train:
+        report |= bench_training(env, num_envs, seconds)
+    print_json(report) if json else print_table(report)

@@ -1,0 +1,53 @@
+"""What commands share: how arguments are written, who plays, how reports are printed."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from tyro.conf import arg
+
+from assistax.errors import UsageError
+
+Task = Annotated[str, tyro.conf.Positional]
+Target = Annotated[str, tyro.conf.Positional, arg(metavar="RUN|TASK")]
+Json = Annotated[bool, arg(name="json")]
+Set = Annotated[tuple[str, ...], arg(name="set", metavar="NAME=VALUE ...")]
+
+
+def teams_of(target: str, policy: str | None, engine: str | None, assignments: tuple[str, ...]):
+    """(env, teams by seed, what they are) of a run folder or of a task with a scripted policy."""
+    from assistax.config import parse_assignments
+    from assistax.env import Env
+    from assistax.policies import scripted_team
+    from assistax.runs import Run, configure
+    from assistax.tasks import TASKS
+
+    settings = parse_assignments(assignments)
+    if policy is not None:
+        config = configure(target, settings, engine=engine)
+        env = Env(target, config.engine, config.env, config.task_config)
+        return env, [scripted_team(policy, env)], {"task": target, "policy": policy}
+    if not Path(target).is_dir():
+        if target in TASKS:
+            raise UsageError(f"Say who plays {target}: --policy still, random, expert, ..., or give a run folder.")
+        raise UsageError(f"{target!r} is neither a run folder nor a task ({', '.join(TASKS)}) with --policy.")
+    run = Run.open(Path(target), settings, engine=engine)
+    return run.env, run.teams(), {"task": run.config.task, "run": target}
+
+
+def print_json(report: Any) -> None:
+    print(json.dumps(report, indent=2))
+
+
+def print_table(report: dict[str, Any], indent: str = "") -> None:
+    for name, value in report.items():
+        if isinstance(value, dict):
+            print(f"{indent}{name}")
+            print_table(value, indent + "  ")
+        else:
+            if isinstance(value, (list, tuple)):
+                value = " to ".join(f"{x:.4g}" if isinstance(x, float) else str(x) for x in value)
+            elif isinstance(value, float):
+                value = f"{value:.4g}"
+            print(f"{indent}{name:{28 - len(indent)}} {value}")

@@ -1,0 +1,129 @@
+"""`assistax evaluate`, `render` and `gallery`."""
+
+from pathlib import Path
+
+from assistax.cli.common import Json, Set, Target, print_json, print_table, teams_of
+from assistax.errors import UsageError
+
+
+def evaluate(
+    target: Target,
+    *,
+    policy: str | None = None,
+    episodes: int = 64,
+    engine: str | None = None,
+    seed: int | None = None,
+    set: Set = (),
+    json: Json = False,
+) -> None:
+    """Play whole episodes on fixed seeds; print means with 95 % confidence intervals.
+
+    For example:
+      assistax evaluate runs/scratch-ippo-0
+      assistax evaluate scratch --policy expert
+      assistax evaluate scratch --policy random --json
+      assistax evaluate runs/scratch-ippo-0 --set env.human.disability=weakness
+
+    Args:
+      target: a run folder, or a task together with --policy.
+      policy: with a task, who plays: still, random, expert or considerate (the robot; the human is then still,
+        or comes toward the tool: offer, or away from it: withdraw).
+      episodes: how many (intervals are over them).
+      engine: auto, mujoco, warp or mjx (default: as the run, else auto).
+      seed: of the evaluation's draws; fixed unless given.
+      set: change any setting of the run or task. Who the person is, see `assistax humans --help`:
+        env.human.disability, .preference, .people, .visibility.
+      json: print JSON instead of a table.
+    """
+    from assistax.evaluation import EVALUATION_SEED, play, summarize
+
+    env, teams, about = teams_of(target, policy, engine, set)
+    start = EVALUATION_SEED if seed is None else seed
+    results = [summarize(play(env, team, episodes, start)) for team in teams]
+    if json:
+        print_json({**about, **results[0]} if len(results) == 1 else {**about, "seeds": results})
+        return
+    for result in results:
+        print_table({**about, **result})
+
+
+def render(
+    target: Target,
+    *,
+    out: Path | None = None,
+    policy: str | None = None,
+    engine: str | None = None,
+    seed: int | None = None,
+    set: Set = (),
+    width: int = 640,
+    height: int = 480,
+    view: str = "main",
+) -> None:
+    """Film one episode.
+
+    For example:
+      assistax render runs/scratch-ippo-0
+      assistax render scratch --policy still --out scratch.png --width 1280 --height 960
+
+    Args:
+      target: a run folder, or a task together with --policy.
+      out: an .mp4, or a .png of the last moment (default TASK.mp4).
+      policy: with a task, who plays: still, random, expert or considerate (the robot; the human is then still,
+        or comes toward the tool: offer, or away from it: withdraw).
+      engine: auto, mujoco, warp or mjx (default: as the run, else auto).
+      seed: of the episode's draws; fixed unless given.
+      set: change any setting of the run or task, as in `assistax evaluate`.
+      width: of the picture in pixels.
+      height: of the picture in pixels.
+      view: camera: main or close.
+    """
+    from assistax.errors import choose
+    from assistax.evaluation import EVALUATION_SEED, play
+    from assistax.viewing import check_format, film
+
+    choose("view", view, ["main", "close"])
+    if out is not None:
+        check_format(out)
+        if not out.parent.is_dir():
+            raise UsageError(f"The folder {out.parent} of --out does not exist.")
+    env, teams, _ = teams_of(target, policy, engine, set)
+    path = out or Path(f"{env.name}.mp4")
+    result = play(env, teams[0], 1, EVALUATION_SEED if seed is None else seed)
+    on = result["playing"][0]
+    film(
+        env.name,
+        result["qpos"][0][on],
+        result["marker"][0][on],
+        env.dt,
+        path,
+        width=width,
+        height=height,
+        view=view,
+    )
+    print(f"wrote {path}")
+
+
+def gallery(*, out: Path = Path("docs/images")) -> None:
+    """Render a picture and a short film of the expert for every task, for the documentation.
+
+    Args:
+      out: folder for TASK.png and TASK.webp; must exist.
+    """
+    from assistax.env import make
+    from assistax.evaluation import play, typical
+    from assistax.policies import scripted_team
+    from assistax.tasks import TASKS
+    from assistax.viewing import film
+
+    if not out.is_dir():
+        raise UsageError(f"The folder {out} does not exist.")
+    for task in TASKS:
+        env = make(task)
+        result = play(env, scripted_team("expert", env), 9)
+        episode = typical(result)
+        on = result["playing"][episode]
+        qpos, marker = result["qpos"][episode][on], result["marker"][episode][on]
+        film(task, qpos, marker, env.dt, out / f"{task}.webp", width=400, height=300)
+        half = len(qpos) // 2
+        film(task, qpos[:half], marker[:half], env.dt, out / f"{task}.png", width=960, height=640)
+        print(f"wrote {out / task}.png and .webp")

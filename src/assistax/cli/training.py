@@ -1,0 +1,92 @@
+"""`assistax train`."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from assistax.cli.common import Set
+from assistax.errors import UsageError
+
+
+def train(
+    task: Annotated[str | None, tyro.conf.Positional] = None,
+    *,
+    algorithm: str | None = None,
+    recurrent: bool = False,
+    share_parameters: bool = False,
+    steps: int | None = None,
+    num_envs: int | None = None,
+    seed: int | None = None,
+    num_seeds: int | None = None,
+    engine: str | None = None,
+    preset: str | None = None,
+    out: Path | None = None,
+    set: Set = (),
+    resume: Path | None = None,
+) -> None:
+    """Train robot and human together, then evaluate and film them.
+
+    Writes one folder: config.json, metrics.jsonl, checkpoints/, learning_curve.png, summary.json and
+    rollout.mp4. Ctrl-C saves and stops; `--resume RUN` goes on where it stopped, to the bit.
+
+    For example:
+      assistax train scratch
+      assistax train scratch --preset paper --steps 40000000 --num-seeds 3
+      assistax train feeding --algorithm mappo --recurrent
+      assistax train scratch --set ppo.learning_rate=1e-3 env.torque_scale=0.5
+      assistax train scratch --set env.human.disability=tremor+weakness env.human.preference=sweep
+      assistax train --resume runs/scratch-ippo-0
+
+    Args:
+      task: what to do together; `assistax tasks` lists them.
+      algorithm: ippo (default), mappo, masac or isac.
+      recurrent: networks with memory (GRU); ippo and mappo.
+      share_parameters: one network for both, told who it plays; ippo and mappo.
+      steps: environment steps per seed (default 3 million; the paper trains for 40 million).
+      num_envs: environments side by side, per seed (default 1024; masac and isac 256).
+      seed: first random seed (default 0).
+      num_seeds: independent runs in one program, with seeds S, S+1, ... (default 1).
+      engine: auto (default), mujoco, warp or mjx.
+      preset: hyperparameters: default, or paper for the paper's table.
+      out: run folder (default runs/TASK-ALGORITHM-SEED, with a number if taken).
+      set: change any setting in config.json, for example ppo.gamma=0.98 or task_config.force=2. Who the
+        person is, see `assistax humans --help`: env.human.disability, .preference, .people, .visibility.
+      resume: continue this run folder; --steps may prolong it.
+    """
+    from assistax.config import parse_assignments
+    from assistax.runs import Run, configure
+
+    if resume is not None:
+        given: dict[str, Any] = {"task": task, "algorithm": algorithm, "num-envs": num_envs, "seed": seed}
+        given |= {"recurrent": recurrent or None, "share-parameters": share_parameters or None}
+        given |= {"num-seeds": num_seeds, "engine": engine, "preset": preset, "out": out, "set": set or None}
+        if extra := [name for name, value in given.items() if value is not None]:
+            raise UsageError(f"--resume takes everything but --steps from the run; leave out {', '.join(extra)}.")
+        run = Run.open(resume, steps=steps)
+    else:
+        if task is None:
+            raise UsageError("Name a task, for example: assistax train scratch. `assistax tasks` lists them.")
+        choices = {"algorithm": algorithm, "preset": preset, "engine": engine, "steps": steps}
+        choices |= {"num_envs": num_envs, "seed": seed, "num_seeds": num_seeds}
+        choices |= {"recurrent": recurrent, "share_parameters": share_parameters}
+        config = configure(task, parse_assignments(set), **choices)
+        name = f"{task}-{config.algorithm}{'-rnn' * recurrent}{'-shared' * share_parameters}-{config.seed}"
+        run = Run.create(config, out or _free_folder(name))
+    print(f"{run.config.task} on the {run.env.engine.name} engine, into {run.folder}", file=sys.stderr)
+    summary = run.train()
+    if summary is None:
+        print(f"Stopped and saved. Continue with: assistax train --resume {run.folder}", file=sys.stderr)
+        sys.exit(130)
+    print(
+        f"return {summary['mean_return']:.0f}, success {summary['success_rate']:.0%} over 64 episodes, "
+        f"{summary['env_steps_per_s']} env steps/s. See {run.folder}/learning_curve.png and rollout.mp4."
+    )
+
+
+def _free_folder(name: str) -> Path:
+    folder, number = Path("runs") / name, 2
+    while folder.exists():
+        folder, number = Path("runs") / f"{name}-{number}", number + 1
+    return folder
