@@ -1,5 +1,6 @@
 """Play a team on fixed seeds and say how it did: whole episodes, each counted once."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -9,35 +10,52 @@ import numpy as np
 from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.physics import check_faults
-from assistax.policies import Team
+from assistax.policies import Policy, Team
 from assistax.statistics import bootstrap_ci, proportion_ci
 
 EVALUATION_SEED = 20_260_000  # evaluation draws are the same for all runs, and not those of training
 
 
-def play(env: Env, team: Team, episodes: int, seed: int = EVALUATION_SEED) -> dict[str, Any]:
-    """Play `episodes` whole episodes side by side.
+class Player:
+    """Plays whole episodes with the same policies and any parameters: compiled once.
 
-    Returns:
-      arrays by name, first axis the episode: "terms" (each reward term's sum over the episode),
-      "metrics" (see Env.metrics, at the episode's last step), "force" [episodes, T] in N, "playing"
-      [episodes, T] whether the episode was still on, "qpos" [episodes, T, nq], "marker" [.., T, 3],
-      "person" [episodes] the row of the list of people that the reset drew.
+    Args:
+      env: where.
+      policies: by agent.
+      episodes: how many, side by side.
     """
-    if episodes < 1:
-        raise UsageError(f"episodes must be 1 or more, not {episodes}.")
-    params = {agent: parameters for agent, (_, parameters) in team.items()}
 
-    def one(params, key):
+    def __init__(self, env: Env, policies: Mapping[str, Policy], episodes: int):
+        if episodes < 1:
+            raise UsageError(f"episodes must be 1 or more, not {episodes}.")
+        self.env, self.policies, self.episodes = env, dict(policies), episodes
+        self._play = jax.jit(jax.vmap(self._one, (None, 0)))
+
+    def __call__(self, params: Mapping[str, Any], seed: int = EVALUATION_SEED) -> dict[str, Any]:
+        """Play with `params`, by agent.
+
+        Returns:
+          arrays by name, first axis the episode: "terms" (each reward term's sum over the episode),
+          "metrics" (see Env.metrics, at the episode's last step), "force" [episodes, T] in N, "playing"
+          [episodes, T] whether the episode was still on, "qpos" [episodes, T, nq], "marker" [.., T, 3],
+          "person" [episodes] the row of the list of people that the reset drew.
+        """
+        keys = jax.random.split(jax.random.key(seed), self.episodes)
+        result = jax.tree.map(np.asarray, self._play(dict(params), keys))
+        check_faults(result["fault"], self.env.engine.name)
+        return result
+
+    def _one(self, params, key):
+        env, policies = self.env, self.policies
         reset_key, key = jax.random.split(key)
         obs, state = env.reset(reset_key)
         person = state.person.index
-        carries = {agent: policy.initial_carry() for agent, (policy, _) in team.items()}
+        carries = {agent: policy.initial_carry() for agent, policy in policies.items()}
 
         def step(carry, key):
             state, obs, carries, playing, first = carry
             actions = {}
-            for (agent, (policy, _)), k in zip(team.items(), jax.random.split(key, len(team)), strict=True):
+            for (agent, policy), k in zip(policies.items(), jax.random.split(key, len(policies)), strict=True):
                 seen = state if getattr(policy, "privileged", False) else obs[agent]
                 actions[agent], carries[agent] = policy.act(params[agent], carries[agent], seen, first, k)
             state, obs, _, terminated, truncated, info = env.step_env(state, actions)
@@ -58,10 +76,16 @@ def play(env: Env, team: Team, episodes: int, seed: int = EVALUATION_SEED) -> di
             **{name: out[name] for name in ("force", "playing", "qpos", "marker")},
         }
 
-    keys = jax.random.split(jax.random.key(seed), episodes)
-    result = jax.tree.map(np.asarray, jax.jit(jax.vmap(one, (None, 0)))(params, keys))
-    check_faults(result["fault"], env.engine.name)
-    return result
+
+def play(env: Env, team: Team, episodes: int, seed: int = EVALUATION_SEED) -> dict[str, Any]:
+    """Play a team once, see Player."""
+    policies = {agent: policy for agent, (policy, _) in team.items()}
+    return Player(env, policies, episodes)({agent: params for agent, (_, params) in team.items()}, seed)
+
+
+def by_episode(result: dict[str, Any]) -> dict[str, Any]:
+    """What a Player returned, without its time series, ready for JSON: lists with a number per episode."""
+    return jax.tree.map(lambda x: np.round(x.astype(float), 4).tolist(), {k: result[k] for k in ("metrics", "terms")})
 
 
 def summarize(result: dict[str, Any]) -> dict[str, Any]:

@@ -97,6 +97,28 @@ class SquashedActor:
         return sample_squashed(mean, log_std, key)[0], carry
 
 
+@dataclass(frozen=True)
+class Drawn:
+    """A member of a population, drawn afresh at the first step of every episode; params: [members, ...]."""
+
+    policy: Policy
+    members: int
+
+    @property
+    def privileged(self):
+        return getattr(self.policy, "privileged", False)
+
+    def initial_carry(self):
+        return jnp.int32(0), self.policy.initial_carry()
+
+    def act(self, params, carry, obs, reset, key):
+        index, carry = carry
+        draw_key, key = jax.random.split(key)
+        index = jnp.where(reset, jax.random.randint(draw_key, (), 0, self.members), index)
+        action, carry = self.policy.act(jax.tree.map(lambda x: x[index], params), carry, obs, reset, key)
+        return action, (index, carry)
+
+
 SCRIPTED = {  # by name, who plays the robot and who the human
     "still": ("still", "still"),
     "random": ("random", "random"),

@@ -2,6 +2,7 @@
 
 config.json           what was asked for
 metrics.jsonl         one line per iteration and seed
+evaluations.jsonl     one line per evaluation and seed: what each of its episodes came to
 checkpoints/          the newest two, each written whole or not at all
 learning_curve.png    summary.json    rollout.mp4
 """
@@ -11,8 +12,9 @@ import json
 import signal
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,14 +25,15 @@ from tqdm import tqdm
 from assistax.config import with_settings
 from assistax.env import Env, EnvConfig
 from assistax.errors import UsageError, choose
-from assistax.evaluation import play, summarize, typical
+from assistax.evaluation import Player, by_episode, summarize, typical
 from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.learning.presets import ALGORITHMS, preset
 from assistax.learning.sac import SAC, SACConfig
+from assistax.learning.seats import Partner
 from assistax.learning.seeds import Seeds
 from assistax.physics import check_faults, resolve_engine
-from assistax.policies import Team
+from assistax.policies import Drawn, Policy, Team, scripted_policy
 from assistax.stamp import peak_memory_mb, stamp
 from assistax.tasks import task_class
 from assistax.viewing import film, learning_curve
@@ -56,6 +59,10 @@ class TrainConfig:
     num_envs: int = 1024  # per seed
     seed: int = 0
     num_seeds: int = 1
+    partners: tuple[str, ...] = ()  # "human=still": seats that do not learn, and who plays them, see find_partner
+    evaluations: int = 10  # evenly over the training; the last is at its end and always made
+    evaluation_episodes: int = 64
+    deterministic: bool = True  # evaluate the mean action, not a sample
     env: EnvConfig = field(default_factory=EnvConfig)
     task_config: Any = None
     ppo: PPOConfig = field(default_factory=PPOConfig)  # of ippo and mappo
@@ -71,7 +78,7 @@ class TrainConfig:
         for name, value in ALGORITHMS[self.algorithm].items():
             if getattr(getattr(self, self.group), name) != value:
                 raise UsageError(f"{self.group}.{name} is {value} for {self.algorithm}; change --algorithm, not it.")
-        for name in ("steps", "num_envs", "num_seeds"):
+        for name in ("steps", "num_envs", "num_seeds", "evaluation_episodes"):
             if getattr(self, name) < 1:
                 raise UsageError(f"{name} must be 1 or more, not {getattr(self, name)}.")
 
@@ -96,6 +103,19 @@ def configure(task: str, settings: dict[str, Any], recurrent=False, share_parame
     return with_settings(config, settings)
 
 
+def stored_config(stored: Mapping[str, Any]) -> TrainConfig:
+    """The TrainConfig of what `to_json` made; fields that it lacks have their defaults."""
+    blank = TrainConfig(stored["task"], task_config=task_class(stored["task"]).config_type())
+    return with_settings(blank, {k: v for k, v in stored.items() if k not in ("task", "stamp")})
+
+
+def to_json(config: TrainConfig) -> dict[str, Any]:
+    """A configuration with the stamp of this process, without the settings that its algorithm does not have."""
+    content = dataclasses.asdict(config) | {"stamp": stamp()}
+    del content[{"ppo": "sac", "sac": "ppo"}[config.group]]
+    return content
+
+
 class Run:
     """A run folder, new or found."""
 
@@ -104,8 +124,16 @@ class Run:
         self.env = Env(config.task, config.engine, config.env, config.task_config)
         trainer, settings = TRAINERS[config.algorithm][0], getattr(config, config.group)
         self.iterations = -(-config.steps // (config.num_envs * settings.num_steps))
-        self.trainer = trainer(self.env, settings, config.num_envs, self.iterations)
+        self.partners = {}
+        for text in config.partners:
+            agent, equals, name = text.partition("=")
+            if not equals:
+                raise UsageError(f"A partner is AGENT=WHO, for example human=still, not {text!r}.")
+            self.partners[choose("agent", agent, self.env.agents)] = find_partner(name, self.env, agent)
+        self.trainer = trainer(self.env, settings, config.num_envs, self.iterations, self.partners)
         self.steps_per_iteration = self.trainer.steps_per_iteration
+        points = range(1, config.evaluations)
+        self.evaluate_at = {i * self.iterations // config.evaluations for i in points} - {0}  # iterations done
         self.seeds = Seeds(range(config.seed, config.seed + config.num_seeds))
 
     @classmethod
@@ -118,7 +146,7 @@ class Run:
             (folder / "checkpoints").mkdir(parents=True)
         except OSError as error:
             raise UsageError(f"Cannot write to {folder}: {error.strerror}.") from None
-        run._write_config()
+        write_atomically(folder / "config.json", json.dumps(to_json(config), indent=2).encode())
         return run
 
     @classmethod
@@ -128,9 +156,7 @@ class Run:
         if not path.exists():
             raise UsageError(f"{folder} is not a run folder: it has no config.json.")
         try:
-            stored = json.loads(path.read_text())
-            blank = TrainConfig(stored["task"], task_config=task_class(stored["task"]).config_type())
-            config = with_settings(blank, {k: v for k, v in stored.items() if k not in ("task", "stamp")})
+            config = stored_config(json.loads(path.read_text()))
         except (json.JSONDecodeError, KeyError, TypeError):
             raise UsageError(f"{path} is damaged; restore it or start a new run.") from None
         changes = {name: value for name, value in changes.items() if value is not None}
@@ -141,7 +167,8 @@ class Run:
     def train(self) -> dict[str, Any] | None:
         """Train to the end, from the newest checkpoint if there is one; None if stopped by Ctrl-C."""
         state, done, seconds = self._start()
-        self._keep_metrics(done * self.steps_per_iteration)
+        for name in ("metrics", "evaluations"):
+            self._keep_rows(name, done * self.steps_per_iteration)
         collect, improve = self.seeds.jit(self.trainer.collect), self.seeds.jit(self.trainer.improve)
         total = self.iterations * self.steps_per_iteration * self.config.num_seeds
         clock, stop, engine = Clock(seconds), Stop(), self.env.engine
@@ -172,6 +199,9 @@ class Run:
                     mean = np.mean([row["episode"]["return"] for row in ended])
                     success = np.mean([row["episode"]["success"] for row in ended])
                     bar.set_postfix_str(f"return {mean:.0f}, success {success:.0%}")
+                if done in self.evaluate_at:
+                    with clock("evaluation"):
+                        self._evaluate(done, map(self.team, self.seeds.each(state)))
                 if time.monotonic() - saved > CHECKPOINT_SECONDS or done == self.iterations or stop.asked:
                     self._save(state, done, clock)
                     saved = time.monotonic()
@@ -214,15 +244,14 @@ class Run:
         plain = jax.tree.map(lambda x: np.asarray(x).item(), list(zip(self.seeds.seeds, logs, losses, strict=True)))
         return [about | {"seed": seed} | log | {"losses": loss} for seed, log, loss in plain]
 
-    def _keep_metrics(self, steps: int) -> None:
-        """Drop rows after `steps`, and a last line that a crash has torn."""
-        path = self.folder / "metrics.jsonl"
-        kept = [row for row in self.metrics() if row["steps"] <= steps]
-        write_atomically(path, "".join(json.dumps(row) + "\n" for row in kept).encode())
+    def _keep_rows(self, name: str, steps: int) -> None:
+        """Drop what is after `steps`, and a last line that a crash has torn."""
+        kept = [row for row in self.rows(name) if row["steps"] <= steps]
+        write_atomically(self.folder / f"{name}.jsonl", "".join(json.dumps(row) + "\n" for row in kept).encode())
 
-    def metrics(self) -> list[dict]:
-        """The rows of metrics.jsonl that are whole."""
-        path = self.folder / "metrics.jsonl"
+    def rows(self, name: str) -> list[dict]:
+        """The rows of "metrics" or "evaluations" that are whole."""
+        path = self.folder / f"{name}.jsonl"
         rows = []
         for line in path.read_text().splitlines() if path.exists() else []:
             try:
@@ -231,17 +260,13 @@ class Run:
                 break
         return rows
 
-    def _write_config(self) -> None:
-        content = dataclasses.asdict(self.config) | {"stamp": stamp()}
-        del content[{"ppo": "sac", "sac": "ppo"}[self.config.group]]
-        write_atomically(self.folder / "config.json", json.dumps(content, indent=2).encode())
-
     # -- afterwards ----------------------------------------------------------------------------
 
     def _finish(self, clock: "Clock") -> dict[str, Any]:
         """Write summary, curve and film of a finished run; returns the summary."""
         config = self.config
-        results = [play(self.env, team, 64) for team in self.teams()]
+        self._keep_rows("evaluations", (self.iterations - 1) * self.steps_per_iteration)  # the last is made anew
+        results = self._evaluate(self.iterations, self.teams())
         each = [summarize(result) for result in results]
         seconds = sum(clock.seconds.values())
         steps = self.iterations * self.steps_per_iteration
@@ -262,7 +287,7 @@ class Run:
             **stamp(),
         }
         write_atomically(self.folder / "summary.json", json.dumps(summary, indent=2).encode())
-        rows = self.metrics()
+        rows = self.rows("metrics")
         title = f"{config.task}, {config.algorithm} ({config.preset} preset), {steps / 1e6:.1f} M steps"
         learning_curve(rows, title, self.folder / "learning_curve.png")
         try:
@@ -270,6 +295,23 @@ class Run:
         except UsageError as error:  # a machine that cannot render can still train
             print(f"No film: {error}", file=sys.stderr)
         return summary
+
+    def _evaluate(self, done: int, teams: Iterable[Team]) -> list[dict[str, Any]]:
+        """Play the evaluation with each seed's team and write down the episodes; returns what a Player does."""
+        results = []
+        with open(self.folder / "evaluations.jsonl", "a") as log:
+            for seed, team in zip(self.seeds.seeds, teams, strict=True):
+                result = self._player({agent: params for agent, (_, params) in team.items()})
+                found = by_episode(result)
+                about = {"steps": done * self.steps_per_iteration, "seed": seed}
+                about |= {"deterministic": self.config.deterministic}
+                log.write(json.dumps(about | {"episodes": found["metrics"], "terms": found["terms"]}) + "\n")
+                results.append(result)
+        return results
+
+    @cached_property
+    def _player(self) -> Player:
+        return Player(self.env, self.policies(), self.config.evaluation_episodes)
 
     def film(self, result: dict[str, Any], episode: int, path: Path, **camera) -> None:
         """Film one episode of what `evaluation.play` returned."""
@@ -283,19 +325,55 @@ class Run:
             **camera,
         )
 
-    def teams(self, deterministic: bool = True) -> list[Team]:
-        """The trained policies of each seed, from the newest checkpoint."""
+    def policies(self, deterministic: bool | None = None) -> dict[str, Policy]:
+        """By agent, who plays it; learners deterministically or not, unless told as in the configuration."""
+        learned = self.trainer.policy(self.config.deterministic if deterministic is None else deterministic)
+        seats: dict[str, Policy] = dict.fromkeys(self.env.agents, learned)
+        for agent, partner in self.partners.items():
+            seats[agent] = Drawn(partner.policy, partner.members)
+        return seats
+
+    def team(self, state: Any, deterministic: bool | None = None) -> Team:
+        """The policies of one seed; of its TrainState only params and normalizer are read."""
+        params = self.trainer.policy_params(state) | {a: partner.params for a, partner in self.partners.items()}
+        return {agent: (policy, params[agent]) for agent, policy in self.policies(deterministic).items()}
+
+    def teams(self, deterministic: bool | None = None) -> list[Team]:
+        """The policies of each seed, from the newest checkpoint."""
         path = self.newest_checkpoint()
         if path is None:
             raise UsageError(f"{self.folder} has no checkpoint yet.")
         self._check(path)
         like = self.seeds.like(self.trainer.init)
         parts = {name: load_checkpoint(path, getattr(like, name), f".{name}") for name in ("params", "normalizer")}
-        policy, teams = self.trainer.policy(deterministic), []
-        for i in range(self.config.num_seeds):
-            state = dataclasses.replace(like, **jax.tree.map(lambda x, i=i: x[i], parts))
-            teams.append({agent: (policy, params) for agent, params in self.trainer.policy_params(state).items()})
-        return teams
+        states = [jax.tree.map(lambda x, i=i: x[i], parts) for i in range(self.config.num_seeds)]
+        return [self.team(dataclasses.replace(like, **state), deterministic) for state in states]
+
+
+def find_partner(name: str, env: Env, agent: str) -> Partner:
+    """Who plays a seat that does not learn.
+
+    Args:
+      name: a scripted policy (see `policies.scripted_policy`), or a run folder of the same task: its policies
+        for that seat, as they acted in training; every episode draws one of its seeds.
+      env: where.
+      agent: the seat.
+    """
+    if name == "trained" or name.endswith(".safetensors"):
+        from assistax.team_file import load_team, trained_file
+
+        policy, params = load_team(trained_file(env.name) if name == "trained" else Path(name))[1][agent]
+        return Partner(policy, jax.tree.map(lambda x: x[None], params))
+    if not Path(name).is_dir():
+        try:
+            return Partner(scripted_policy(name, env, agent))
+        except UsageError as error:
+            raise UsageError(f"{error} Or name a run folder.") from None
+    run = Run.open(Path(name))
+    if run.env.name != env.name or run.env.observation_sizes[agent] != env.observation_sizes[agent]:
+        raise UsageError(f"{name} cannot play the {agent} here: its task or what it observes is another.")
+    policies, params = zip(*(team[agent] for team in run.teams(deterministic=False)), strict=True)
+    return Partner(policies[0], jax.tree.map(lambda *xs: jax.numpy.stack(xs), *params), len(params))
 
 
 class Clock:

@@ -16,23 +16,31 @@ Set = Annotated[tuple[str, ...], arg(name="set", metavar="NAME=VALUE ...")]
 
 
 def teams_of(target: str, policy: str | None, engine: str | None, assignments: tuple[str, ...]):
-    """(env, teams by seed, what they are) of a run folder or of a task with a scripted policy."""
+    """(env, teams by seed, what they are) of a run folder, a team file, or a task with a policy's name."""
     from assistax.config import parse_assignments
     from assistax.env import Env
     from assistax.policies import scripted_team
     from assistax.runs import Run, configure
     from assistax.tasks import TASKS
+    from assistax.team_file import load_team, trained_file
 
     settings = parse_assignments(assignments)
+    if policy == "trained":
+        env, team = load_team(trained_file(target), settings, engine)
+        return env, [team], {"task": target, "policy": policy}
     if policy is not None:
         config = configure(target, settings, engine=engine)
         env = Env(target, config.engine, config.env, config.task_config)
         return env, [scripted_team(policy, env)], {"task": target, "policy": policy}
-    if not Path(target).is_dir():
-        if target in TASKS:
-            raise UsageError(f"Say who plays {target}: --policy still, random, expert, ..., or give a run folder.")
-        raise UsageError(f"{target!r} is neither a run folder nor a task ({', '.join(TASKS)}) with --policy.")
-    run = Run.open(Path(target), settings, engine=engine)
+    if target in TASKS:
+        raise UsageError(f"Say who plays {target}: --policy trained, still, random, expert, ..., or give a run folder.")
+    path = Path(target)
+    if path.suffix == ".safetensors" and path.is_file():
+        env, team = load_team(path, settings, engine)
+        return env, [team], {"task": env.name, "team": target}
+    if not path.is_dir():
+        raise UsageError(f"{target!r} is neither a run folder, nor a team file, nor a task ({', '.join(TASKS)}).")
+    run = Run.open(path, settings, engine=engine)
     return run.env, run.teams(), {"task": run.config.task, "run": target}
 
 

@@ -1,9 +1,38 @@
-"""`assistax evaluate`, `render` and `gallery`."""
+"""`assistax play`, `evaluate`, `render`, `export` and `gallery`."""
 
 from pathlib import Path
+from typing import Annotated
 
-from assistax.cli.common import Json, Set, Target, print_json, print_table, teams_of
+import tyro
+
+from assistax.cli.common import Json, Set, Target, Task, print_json, print_table, teams_of
 from assistax.errors import UsageError
+
+
+def play(
+    task: Task,
+    *,
+    episodes: int = 16,
+    out: Path | None = None,
+    engine: str | None = None,
+    set: Set = (),
+) -> None:
+    """See the trained team that comes with a task: how it does, and a film of it.
+
+    Args:
+      task: `assistax tasks` lists them.
+      episodes: how many; the film shows the one of median return.
+      out: an .mp4, .webp or .png (default TASK.mp4).
+      engine: auto, mujoco, warp or mjx.
+      set: change any setting, for example env.human.disability=tremor, as in `assistax evaluate`.
+    """
+    from assistax.evaluation import play, summarize, typical
+
+    path = _film_path(out)
+    env, teams, about = teams_of(task, "trained", engine, set)
+    result = play(env, teams[0], episodes)
+    print_table({**about, **summarize(result)})
+    _film(env, result, typical(result), path)
 
 
 def evaluate(
@@ -25,9 +54,9 @@ def evaluate(
       assistax evaluate runs/scratch-ippo-0 --set env.human.disability=weakness
 
     Args:
-      target: a run folder, or a task together with --policy.
-      policy: with a task, who plays: still, random, expert or considerate (the robot; the human is then still,
-        or comes toward the tool: offer, or away from it: withdraw).
+      target: a run folder, a team file, or a task together with --policy.
+      policy: with a task, who plays: trained (the team that comes with it), still, random, expert or considerate
+        (the robot; the human is then still, or comes toward the tool: offer, or away from it: withdraw).
       episodes: how many (intervals are over them).
       engine: auto, mujoco, warp or mjx (default: as the run, else auto).
       seed: of the evaluation's draws; fixed unless given.
@@ -66,10 +95,10 @@ def render(
       assistax render scratch --policy still --out scratch.png --width 1280 --height 960
 
     Args:
-      target: a run folder, or a task together with --policy.
+      target: a run folder, a team file, or a task together with --policy.
       out: an .mp4, or a .png of the last moment (default TASK.mp4).
-      policy: with a task, who plays: still, random, expert or considerate (the robot; the human is then still,
-        or comes toward the tool: offer, or away from it: withdraw).
+      policy: with a task, who plays: trained (the team that comes with it), still, random, expert or considerate
+        (the robot; the human is then still, or comes toward the tool: offer, or away from it: withdraw).
       engine: auto, mujoco, warp or mjx (default: as the run, else auto).
       seed: of the episode's draws; fixed unless given.
       set: change any setting of the run or task, as in `assistax evaluate`.
@@ -79,28 +108,31 @@ def render(
     """
     from assistax.errors import choose
     from assistax.evaluation import EVALUATION_SEED, play
-    from assistax.viewing import check_format, film
 
     choose("view", view, ["main", "close"])
-    if out is not None:
-        check_format(out)
-        if not out.parent.is_dir():
-            raise UsageError(f"The folder {out.parent} of --out does not exist.")
+    path = _film_path(out)
     env, teams, _ = teams_of(target, policy, engine, set)
-    path = out or Path(f"{env.name}.mp4")
     result = play(env, teams[0], 1, EVALUATION_SEED if seed is None else seed)
-    on = result["playing"][0]
-    film(
-        env.name,
-        result["qpos"][0][on],
-        result["marker"][0][on],
-        env.dt,
-        path,
-        width=width,
-        height=height,
-        view=view,
-    )
-    print(f"wrote {path}")
+    _film(env, result, 0, path, width=width, height=height, view=view)
+
+
+def export(run: Annotated[Path, tyro.conf.Positional], *, out: Path, seed: int | None = None) -> None:
+    """Write the trained team of a run into one small file, which plays without the run folder.
+
+    Args:
+      run: a run folder.
+      out: NAME.safetensors.
+      seed: which of the run's seeds (default the first).
+    """
+    from assistax.runs import Run
+    from assistax.team_file import save_team
+
+    found = Run.open(run)
+    seeds = list(found.seeds.seeds)
+    if seed is not None and seed not in seeds:
+        raise UsageError(f"{run} has no seed {seed}; it has {', '.join(map(str, seeds))}.")
+    save_team(found, out, 0 if seed is None else seeds.index(seed))
+    print(f"wrote {out}")
 
 
 def gallery(*, out: Path = Path("docs/images")) -> None:
@@ -127,3 +159,24 @@ def gallery(*, out: Path = Path("docs/images")) -> None:
         half = len(qpos) // 2
         film(task, qpos[:half], marker[:half], env.dt, out / f"{task}.png", width=960, height=640)
         print(f"wrote {out / task}.png and .webp")
+
+
+def _film_path(out: Path | None) -> Path | None:
+    """`out`, if a film can go there; asked before anything is played."""
+    from assistax.viewing import check_format
+
+    if out is not None:
+        check_format(out)
+        if not out.parent.is_dir():
+            raise UsageError(f"The folder {out.parent} of --out does not exist.")
+    return out
+
+
+def _film(env, result, episode: int, path: Path | None, **camera) -> None:
+    """Film one episode of what a Player returned; without a path into TASK.mp4."""
+    from assistax.viewing import film
+
+    path = path or Path(f"{env.name}.mp4")
+    on = result["playing"][episode]
+    film(env.name, result["qpos"][episode][on], result["marker"][episode][on], env.dt, path, **camera)
+    print(f"wrote {path}")

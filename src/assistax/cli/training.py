@@ -22,14 +22,15 @@ def train(
     num_seeds: int | None = None,
     engine: str | None = None,
     preset: str | None = None,
+    partner: tuple[str, ...] = (),
     out: Path | None = None,
     set: Set = (),
     resume: Path | None = None,
 ) -> None:
     """Train robot and human together, then evaluate and film them.
 
-    Writes one folder: config.json, metrics.jsonl, checkpoints/, learning_curve.png, summary.json and
-    rollout.mp4. Ctrl-C saves and stops; `--resume RUN` goes on where it stopped, to the bit.
+    Writes one folder: config.json, metrics.jsonl, evaluations.jsonl, checkpoints/, learning_curve.png,
+    summary.json and rollout.mp4. Ctrl-C saves and stops; `--resume RUN` goes on where it stopped, to the bit.
 
     For example:
       assistax train scratch
@@ -37,6 +38,8 @@ def train(
       assistax train feeding --algorithm mappo --recurrent
       assistax train scratch --set ppo.learning_rate=1e-3 env.torque_scale=0.5
       assistax train scratch --set env.human.disability=tremor+weakness env.human.preference=sweep
+      assistax train scratch --partner human=still
+      assistax train scratch --partner human=runs/scratch-ippo-0
       assistax train --resume runs/scratch-ippo-0
 
     Args:
@@ -49,6 +52,8 @@ def train(
       seed: first random seed (default 0).
       num_seeds: independent runs in one program, with seeds S, S+1, ... (default 1).
       engine: auto (default), mujoco, warp or mjx.
+      partner: AGENT=WHO for a seat that does not learn: a scripted policy, or a run folder whose policy (of
+        several seeds, one per episode) plays it as it was trained.
       preset: hyperparameters: default, or paper for the paper's table.
       out: run folder (default runs/TASK-ALGORITHM-SEED, with a number if taken).
       set: change any setting in config.json, for example ppo.gamma=0.98 or task_config.force=2. Who the
@@ -62,6 +67,7 @@ def train(
         given: dict[str, Any] = {"task": task, "algorithm": algorithm, "num-envs": num_envs, "seed": seed}
         given |= {"recurrent": recurrent or None, "share-parameters": share_parameters or None}
         given |= {"num-seeds": num_seeds, "engine": engine, "preset": preset, "out": out, "set": set or None}
+        given |= {"partner": partner or None}
         if extra := [name for name, value in given.items() if value is not None]:
             raise UsageError(f"--resume takes everything but --steps from the run; leave out {', '.join(extra)}.")
         run = Run.open(resume, steps=steps)
@@ -69,7 +75,7 @@ def train(
         if task is None:
             raise UsageError("Name a task, for example: assistax train scratch. `assistax tasks` lists them.")
         choices = {"algorithm": algorithm, "preset": preset, "engine": engine, "steps": steps}
-        choices |= {"num_envs": num_envs, "seed": seed, "num_seeds": num_seeds}
+        choices |= {"num_envs": num_envs, "seed": seed, "num_seeds": num_seeds, "partners": partner}
         choices |= {"recurrent": recurrent, "share_parameters": share_parameters}
         config = configure(task, parse_assignments(set), **choices)
         name = f"{task}-{config.algorithm}{'-rnn' * recurrent}{'-shared' * share_parameters}-{config.seed}"
@@ -80,8 +86,9 @@ def train(
         print(f"Stopped and saved. Continue with: assistax train --resume {run.folder}", file=sys.stderr)
         sys.exit(130)
     print(
-        f"return {summary['mean_return']:.0f}, success {summary['success_rate']:.0%} over 64 episodes, "
-        f"{summary['env_steps_per_s']} env steps/s. See {run.folder}/learning_curve.png and rollout.mp4."
+        f"return {summary['mean_return']:.0f}, success {summary['success_rate']:.0%} over "
+        f"{run.config.evaluation_episodes} episodes, {summary['env_steps_per_s']} env steps/s. "
+        f"See {run.folder}/learning_curve.png and rollout.mp4."
     )
 
 

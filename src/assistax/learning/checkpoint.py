@@ -60,7 +60,7 @@ def load_checkpoint(path: Path, like: Any, part: str = "") -> Any:
             value, shape = file.get_tensor(name), _shape(leaf)
             if value.shape != shape:
                 raise UsageError(f"{path} does not fit this configuration: {name} is {value.shape}, not {shape}.")
-            leaves.append(jax.random.wrap_key_data(value) if _is_key(leaf) else jax.numpy.asarray(value))
+            leaves.append(jax.random.wrap_key_data(value) if _is_key(leaf) else jax.numpy.asarray(value, leaf.dtype))
     return jax.tree.unflatten(jax.tree.structure(like), leaves)
 
 

@@ -1,0 +1,64 @@
+"""Team files: the policies of one trained team in one small file, with all that is needed to play them.
+
+The best team of every task is part of the package: `assistax play TASK`.
+"""
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from assistax.config import with_settings
+from assistax.env import Env
+from assistax.errors import UsageError
+from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint
+from assistax.policies import Team
+from assistax.runs import Run, stored_config, to_json
+from assistax.tasks import TASKS, task_class
+
+TRAINED = Path(__file__).parent / "trained"
+
+
+def trained_file(task: str) -> Path:
+    """The team that comes with the package."""
+    task_class(task)
+    path = TRAINED / f"{task}.safetensors"
+    if not path.exists():
+        there = [name for name in TASKS if (TRAINED / f"{name}.safetensors").exists()]
+        raise UsageError(f"No trained team comes with {task} yet; there is one for {', '.join(there) or 'none'}.")
+    return path
+
+
+def save_team(run: Run, path: Path, index: int = 0) -> None:
+    """Write the team of the run's seed number `index`.
+
+    Weights in half precision: tens of KB, and no more rounding than a small change of the observation.
+    """
+    if path.suffix != ".safetensors":
+        raise UsageError(f"A team file is called NAME.safetensors, not {path.name!r}.")
+    if run.partners:
+        absent = ", ".join(run.partners)
+        raise UsageError(f"Only whole teams can be exported; in {run.folder} the {absent} did not learn.")
+    params = {agent: dict(parameters) for agent, (_, parameters) in run.teams()[index].items()}
+    for parameters in params.values():  # the normaliser's numbers may be beyond half precision
+        parameters["actor"] = jax.tree.map(lambda x: x.astype(jnp.float16), parameters["actor"])
+    config = dataclasses.replace(run.config, seed=run.seeds.seeds[index], num_seeds=1)
+    save_checkpoint(path, params, {"team": to_json(config)})
+
+
+def load_team(path: Path, settings: Mapping[str, Any] | None = None, engine: str | None = None) -> tuple[Env, Team]:
+    """The team in a file, and the environment it was trained in but for `settings`."""
+    about = read_metadata(path)
+    if "team" not in about:
+        raise UsageError(f"{path} is a checkpoint, not a team; give its run folder.")
+    config = stored_config(about["team"])
+    if engine is not None:
+        config = dataclasses.replace(config, engine=engine)
+    run = Run(path.parent, with_settings(config, settings or {}))
+    trainer: Any = run.trainer
+    like = jax.eval_shape(lambda key: trainer.policy_params(trainer.init(key)), jax.random.key(0))
+    params = load_checkpoint(path, like)
+    return run.env, {agent: (policy, params[agent]) for agent, policy in run.policies().items()}
