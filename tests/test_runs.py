@@ -16,6 +16,7 @@ from safetensors.numpy import load_file
 
 from assistax.errors import UsageError
 from assistax.runs import Run, configure, find_partner
+from assistax.team_file import load_team, save_team
 
 SMALL = {"ppo.num_steps": 8, "ppo.num_minibatches": 2, "ppo.update_epochs": 1, "ppo.hidden": (8, 8)}
 SMALL |= {"env.episode_length": 16}
@@ -80,13 +81,18 @@ def test_a_checkpoint_of_something_else_is_refused_and_kept(tmp_path):
         assert path.read_bytes() == before and not list(run.folder.glob("*.part"))
 
 
-def test_evaluations_are_even_and_whole_and_the_last_is_the_summary(tmp_path):
-    """Four over five iterations: after 1, 2, 3 and 5; cut short after 3 and gone on with, the same numbers."""
+@pytest.fixture(scope="module")
+def evaluated(tmp_path_factory):
+    """A finished run of two seeds, five iterations, four evaluations of three episodes."""
     settings = SMALL | {"evaluations": 4, "evaluation_episodes": 3}
-    choices = {"num_envs": 8, "steps": 5 * 64, "num_seeds": 2}
-    whole = Run.create(configure("scratch", settings, **choices), tmp_path / "whole")
-    summary = whole.train()
-    rows = whole.rows("evaluations")
+    config = configure("scratch", settings, num_envs=8, steps=5 * 64, num_seeds=2)
+    run = Run.create(config, tmp_path_factory.mktemp("runs") / "evaluated")
+    return run, run.train()
+
+
+def test_evaluations_are_even_and_whole_and_the_last_is_the_summary(evaluated):
+    run, summary = evaluated
+    rows = run.rows("evaluations")
     assert [(row["steps"], row["seed"]) for row in rows] == [(64 * i, seed) for i in (1, 2, 3, 5) for seed in (0, 1)]
     assert {len(values) for row in rows for part in ("episodes", "terms") for values in row[part].values()} == {3}
     for row, one in zip(rows[-2:], summary["evaluation"], strict=True):
@@ -94,37 +100,46 @@ def test_evaluations_are_even_and_whole_and_the_last_is_the_summary(tmp_path):
         for term, total in one["terms"].items():
             assert np.mean(row["terms"][term]) == pytest.approx(total, abs=1e-3)
 
-    Run.create(configure("scratch", settings, **choices | {"steps": 3 * 64}), tmp_path / "part").train()
-    path = tmp_path / "part" / "evaluations.jsonl"
-    path.write_text(path.read_text() + '{"steps": 2')  # torn
-    Run.open(tmp_path / "part", steps=5 * 64).train()
-    ends = [Run.open(tmp_path / name).rows("evaluations")[-2:] for name in ("whole", "part")]
-    assert ends[0] == ends[1]
+
+def test_a_team_file_plays_as_its_run(evaluated, tmp_path):
+    run, _ = evaluated
+    save_team(run, tmp_path / "team.safetensors", index=1)
+    env, team = load_team(tmp_path / "team.safetensors", {"env.episode_length": 4})
+    assert env.config.episode_length == 4
+    obs = {agent: jax.random.normal(jax.random.key(1), (env.observation_sizes[agent],)) for agent in env.agents}
+    for agent, (policy, params) in run.teams()[1].items():
+        yes = np.bool_(True)
+        actions = [
+            policy.act(p, policy.initial_carry(), obs[agent], yes, jax.random.key(0))[0]
+            for policy, p in ((policy, params), team[agent])
+        ]
+        np.testing.assert_allclose(*actions, rtol=0.02, atol=1e-5)  # weights in half precision
+        assert np.abs(actions[0]).max() > 1e-3
+    with pytest.raises(UsageError, match="is a checkpoint, not a team"):
+        load_team(run.newest_checkpoint())
 
 
-def test_a_partner_is_scripted_or_comes_from_a_run(tmp_path):
-    first = Run.create(small(num_seeds=2, steps=64), tmp_path / "first")
-    first.train()
-    partner = find_partner(str(first.folder), first.env, "human")
-    assert partner.members == 2 and not partner.policy.deterministic
-    run = Run.create(small(partners=(f"human={first.folder}",), steps=64), tmp_path / "second")
-    assert run.train() and set(run.trainer.learners) == {"robot"}
-    team = run.teams()[0]
+def test_a_partner_comes_from_a_run(evaluated, tmp_path):
+    run, _ = evaluated
+    partner = find_partner(str(run.folder), run.env, "human")
+    assert partner.members == 2 and not partner.policy.deterministic  # acts as it was trained
+    new = Run.create(small(partners=(f"human={run.folder}",), steps=64), tmp_path / "new")
+    assert new.train() and new.trainer.learners == ("robot",)
+    team = new.teams()[0]
     assert team["robot"][0].deterministic and team["human"][0].members == 2
     for mine, theirs in zip(jax.tree.leaves(team["human"][1]), jax.tree.leaves(partner.params), strict=True):
         np.testing.assert_array_equal(mine, theirs)
-    still = Run.create(small(partners=("human=still",), steps=64), tmp_path / "third")
-    still.train()
-    assert still.rows("evaluations")[-1]["episodes"]["work_human"] == [0.0] * 64
+    with pytest.raises(UsageError, match="the human did not learn"):
+        save_team(new, tmp_path / "team.safetensors")
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("dog=still", "Did you mean|robot"),
+        ("dog=still", "Unknown agent 'dog'"),
         ("human", "AGENT=WHO"),
-        ("human=expert", "or a run folder"),
-        ("human=still,robot=still", "."),
+        ("human=expert", "Known: still, random, offer, withdraw. Or name a run folder"),
+        ("human=still,robot=still", "leave one to learn"),
     ],
 )
 def test_an_impossible_partner_is_refused(text, words):
@@ -170,5 +185,7 @@ def test_kill_9_loses_at_most_the_work_since_the_last_checkpoint(tmp_path):
         np.testing.assert_array_equal(killed[name], alone[name], err_msg=name)
     rows = [[r["episode"]["return"] for r in Run.open(f).rows("metrics")] for f in folders]
     assert len(rows[0]) == 200 and rows[0] == rows[1]
+    evaluations = [Run.open(f).rows("evaluations") for f in folders]
+    assert len(evaluations[0]) == 10 and evaluations[0] == evaluations[1]
     spent = json.loads((folders[1] / "summary.json").read_text())["seconds"]
     assert set(spent) == {"physics", "policy", "update", "evaluation"} and min(spent.values()) >= 0

@@ -9,6 +9,7 @@ learning_curve.png    summary.json    rollout.mp4
 
 import dataclasses
 import json
+import math
 import signal
 import sys
 import time
@@ -26,6 +27,7 @@ from assistax.config import with_settings
 from assistax.env import Env, EnvConfig
 from assistax.errors import UsageError, choose
 from assistax.evaluation import Player, by_episode, summarize, typical
+from assistax.figures import learning_curve
 from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.learning.presets import ALGORITHMS, preset
@@ -34,9 +36,10 @@ from assistax.learning.seats import Partner
 from assistax.learning.seeds import Seeds
 from assistax.physics import check_faults, resolve_engine
 from assistax.policies import Drawn, Policy, Team, scripted_policy
+from assistax.results import read_rows
 from assistax.stamp import peak_memory_mb, stamp
 from assistax.tasks import task_class
-from assistax.viewing import film, learning_curve
+from assistax.viewing import film
 
 DEFAULT_STEPS = 3_000_000
 CHECKPOINT_SECONDS = 60.0
@@ -129,7 +132,8 @@ class Run:
             agent, equals, name = text.partition("=")
             if not equals:
                 raise UsageError(f"A partner is AGENT=WHO, for example human=still, not {text!r}.")
-            self.partners[choose("agent", agent, self.env.agents)] = find_partner(name, self.env, agent)
+            choose("agent", agent, self.env.agents)
+            self.partners[agent] = find_partner(name, self.env, agent)
         self.trainer = trainer(self.env, settings, config.num_envs, self.iterations, self.partners)
         self.steps_per_iteration = self.trainer.steps_per_iteration
         points = range(1, config.evaluations)
@@ -146,8 +150,17 @@ class Run:
             (folder / "checkpoints").mkdir(parents=True)
         except OSError as error:
             raise UsageError(f"Cannot write to {folder}: {error.strerror}.") from None
-        write_atomically(folder / "config.json", json.dumps(to_json(config), indent=2).encode())
+        run._write_config()
         return run
+
+    def _write_config(self) -> None:
+        """Anew if it has changed, as when --steps prolongs a run; the stamp stays that of the beginning."""
+        path = self.folder / "config.json"
+        before = json.loads(path.read_text()) if path.exists() else {}
+        content = json.loads(json.dumps(to_json(self.config)))
+        if before | {"stamp": None} != content | {"stamp": None}:
+            content["stamp"] = before.get("stamp", content["stamp"])
+            write_atomically(path, json.dumps(content, indent=2).encode())
 
     @classmethod
     def open(cls, folder: Path, settings: Mapping[str, Any] | None = None, **changes) -> "Run":
@@ -164,14 +177,19 @@ class Run:
 
     # -- training ------------------------------------------------------------------------------
 
-    def train(self) -> dict[str, Any] | None:
-        """Train to the end, from the newest checkpoint if there is one; None if stopped by Ctrl-C."""
-        state, done, seconds = self._start()
+    def train(self, seconds: float = math.inf) -> dict[str, Any] | None:
+        """Train from the newest checkpoint, if there is one, to the end: the summary.
+
+        None if it had to stop and save before, because of Ctrl-C or because `seconds` have passed.
+        """
+        deadline = time.monotonic() + seconds
+        self._write_config()
+        state, done, spent = self._start()
         for name in ("metrics", "evaluations"):
             self._keep_rows(name, done * self.steps_per_iteration)
         collect, improve = self.seeds.jit(self.trainer.collect), self.seeds.jit(self.trainer.improve)
         total = self.iterations * self.steps_per_iteration * self.config.num_seeds
-        clock, stop, engine = Clock(seconds), Stop(), self.env.engine
+        clock, stop, engine = Clock(spent), Stop(), self.env.engine
         collecting = "policy" if engine.name == "mujoco" else "collect"  # others are part of the same program
         with (
             stop,
@@ -179,7 +197,8 @@ class Run:
             tqdm(total=total, initial=done * total // self.iterations, unit=" steps", unit_scale=True) as bar,
         ):
             saved = time.monotonic()
-            while done < self.iterations and not stop.asked:
+            leave = done == self.iterations
+            while not leave:
                 before = engine.seconds
                 with clock(collecting):
                     state, batch = jax.block_until_ready(collect(state))
@@ -202,7 +221,8 @@ class Run:
                 if done in self.evaluate_at:
                     with clock("evaluation"):
                         self._evaluate(done, map(self.team, self.seeds.each(state)))
-                if time.monotonic() - saved > CHECKPOINT_SECONDS or done == self.iterations or stop.asked:
+                leave = done == self.iterations or stop.asked or time.monotonic() > deadline
+                if leave or time.monotonic() - saved > CHECKPOINT_SECONDS:
                     self._save(state, done, clock)
                     saved = time.monotonic()
         if done < self.iterations:
@@ -251,14 +271,7 @@ class Run:
 
     def rows(self, name: str) -> list[dict]:
         """The rows of "metrics" or "evaluations" that are whole."""
-        path = self.folder / f"{name}.jsonl"
-        rows = []
-        for line in path.read_text().splitlines() if path.exists() else []:
-            try:
-                rows.append(json.loads(line))
-            except json.JSONDecodeError:
-                break
-        return rows
+        return read_rows(self.folder / f"{name}.jsonl")
 
     # -- afterwards ----------------------------------------------------------------------------
 

@@ -1,9 +1,24 @@
-"""Means with 95 % intervals."""
+"""Means with 95 % intervals, over the episodes of one policy or over the seeds of an algorithm.
+
+Episodes say how well one trained policy does; how well an algorithm does only its seeds say, so that episodes
+of several seeds are never pooled. Scores of an algorithm are a list with one array [..., seeds] per task.
+Aggregates after Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge of the Statistical Precipice".
+"""
+
+from collections.abc import Callable, Sequence
+from functools import cache
 
 import numpy as np
 
+FEW_SEEDS = 10  # with fewer an interval relies on seeds being spread like a normal distribution
+Interval = tuple[float, float]
+Tasks = Sequence[np.ndarray]
 
-def bootstrap_ci(values, resamples: int = 10_000, seed: int = 0) -> tuple[float, float]:
+
+# -- episodes ----------------------------------------------------------------------------------
+
+
+def bootstrap_ci(values, resamples: int = 10_000, seed: int = 0) -> Interval:
     """95 % percentile-bootstrap interval of the mean of values [n]; (mean, mean) for one value."""
     values = np.asarray(values, np.float64)
     ids = np.random.default_rng(seed).integers(len(values), size=(resamples, len(values)))
@@ -11,10 +26,108 @@ def bootstrap_ci(values, resamples: int = 10_000, seed: int = 0) -> tuple[float,
     return float(low), float(high)
 
 
-def proportion_ci(successes: int, trials: int) -> tuple[float, float]:
+def proportion_ci(successes: int, trials: int) -> Interval:
     """95 % Wilson score interval of a proportion: sound also at 0 and at 1."""
     z, p = 1.959964, successes / trials
     centre = p + z * z / (2 * trials)
     spread = z * np.sqrt(p * (1 - p) / trials + z * z / (4 * trials * trials))
     scale = 1 + z * z / trials
     return max(0.0, float((centre - spread) / scale)), min(1.0, float((centre + spread) / scale))
+
+
+# -- seeds -------------------------------------------------------------------------------------
+
+
+def mean(tasks: Tasks) -> np.ndarray:
+    """Mean over seeds, then over tasks, which count the same however many seeds they have."""
+    return np.mean(np.broadcast_arrays(*(scores.mean(-1) for scores in tasks)), 0)
+
+
+def iqm(tasks: Tasks) -> np.ndarray:
+    """Interquartile mean: of the middle half of all scores, those at its edges in part.
+
+    Tasks count the same however many seeds they have. With four scores or a multiple, and as many for each task,
+    this is the mean without the lowest and the highest quarter.
+    """
+    batch = np.broadcast_shapes(*(scores.shape[:-1] for scores in tasks))
+    x = np.concatenate([np.broadcast_to(scores, (*batch, scores.shape[-1])) for scores in tasks], -1)
+    weights = np.concatenate([np.full(scores.shape[-1], 1 / scores.shape[-1]) for scores in tasks]) / len(tasks)
+    order = np.argsort(x, -1)
+    upto = np.cumsum(weights[order], -1)
+    inside = np.clip(upto, 0.25, 0.75) - np.clip(upto - weights[order], 0.25, 0.75)
+    return 2 * np.sum(inside * np.take_along_axis(x, order, -1), -1)
+
+
+def seed_ci(
+    tasks: Tasks, statistic: Callable[[Tasks], np.ndarray] = mean, resamples: int = 1000, seed: int = 0
+) -> Interval | None:
+    """95 % interval of `mean` or `iqm` for new seeds of the same tasks: a stratified bootstrap of seeds.
+
+    Seeds are resampled within each task; the spread this gives, corrected for what a bootstrap of n seeds lacks,
+    sqrt(n / (n - 1)), is the standard error, and the interval is Student's t of it with Welch's degrees of freedom.
+    Percentiles of the same bootstrap, as Agarwal et al. take them for 10 seeds and more, are much too narrow for few:
+    on normal scores of one task they cover 53 %, 76 %, 83 % and 92 % for 2, 3, 5 and 12 seeds, this 94 to 95 %. With
+    exponential scores this covers 87 to 90 % up to 12 seeds, and if one seed in five fails 70 to 74 % for 3 to 5 seeds
+    and 91 % for 12: no interval knows a tail it has not seen.
+
+    Args:
+      tasks: per task the scores [seeds].
+
+    Returns:
+      (low, high), or None where there is nothing to go by: a task with one seed, or no spread at all.
+    """
+    tasks = [np.asarray(scores, np.float64) for scores in tasks]
+    if min(scores.size for scores in tasks) < 2:
+        return None
+    rng = np.random.default_rng(seed)
+    variances = []
+    for i, scores in enumerate(tasks):
+        resampled = list(tasks)
+        resampled[i] = scores[rng.integers(scores.size, size=(resamples, scores.size))]
+        variances.append(statistic(resampled).var() * scores.size / (scores.size - 1))
+    if sum(variances) < 1e-24:
+        return None
+    # An aggregate of tasks knows its spread better than each task does: Welch and Satterthwaite.
+    freedom = sum(variances) ** 2 / sum(v * v / (x.size - 1) for v, x in zip(variances, tasks, strict=True))
+    centre, half = float(statistic(tasks)), student_t(freedom) * float(np.sqrt(sum(variances)))
+    return centre - half, centre + half
+
+
+@cache
+def student_t(freedom: float) -> float:
+    """97.5 % quantile of Student's t with `freedom` >= 1 degrees of freedom, to four digits.
+
+    With t = sqrt(freedom) tan(a) the density is proportional to cos(a)^(freedom - 1).
+    """
+    a = np.linspace(0.0, np.pi / 2, 20_001)
+    density = np.cos(a) ** (freedom - 1)
+    mass = np.append(0.0, np.cumsum(density[1:] + density[:-1]))
+    return float(np.sqrt(freedom) * np.tan(np.interp(0.95 * mass[-1], mass, a)))
+
+
+def probability_of_improvement(ours: Tasks, theirs: Tasks) -> tuple[float, Interval | None]:
+    """How probable it is that a seed of one algorithm beats one of another on a task drawn at random; ties count half.
+
+    A bootstrap collapses to a point where one algorithm always wins (three seeds each, true value 0.98: it covers
+    10 %). The 95 % interval is instead all values p from which the estimate is less than Student's t standard errors
+    away, with the variance of the Mann-Whitney statistic at p after Newcombe 2006 ("Confidence intervals for an effect
+    size measure based on the Mann-Whitney statistic", part 2, method 5), as if p were that of every task: too wide
+    where tasks differ. It covers 93 % and more with as many seeds for both, 85 % with 3 against 12 seeds if the 3 are
+    spread three times as far.
+
+    Args:
+      ours, theirs: per task the scores [seeds].
+
+    Returns:
+      the probability, and its interval, or None if either has but one seed of some task.
+    """
+    pairs = [(np.asarray(x)[:, None], np.asarray(y)[None, :]) for x, y in zip(ours, theirs, strict=True)]
+    estimate = float(np.mean([np.mean((x > y) + 0.5 * (x == y)) for x, y in pairs]))
+    sizes = [(x.size, y.size) for x, y in pairs]
+    if min(map(min, sizes)) < 2:
+        return estimate, None
+    p = np.linspace(0.0, 1.0, 2001)
+    spread = (1 - p) / (2 - p) + p / (1 + p)
+    variance = sum(p * (1 - p) * (1 + ((m + n) / 2 - 1) * spread) / (m * n) for m, n in sizes) / len(sizes) ** 2
+    near = p[np.abs(p - estimate) <= student_t(float(sum(m + n - 2 for m, n in sizes))) * np.sqrt(variance) + 1e-9]
+    return estimate, (float(near[0]), float(near[-1]))

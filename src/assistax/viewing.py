@@ -1,4 +1,4 @@
-"""Pictures and films of a scene, and learning curves."""
+"""Pictures and films of a scene."""
 
 import dataclasses
 import warnings
@@ -68,43 +68,3 @@ def film(task: str, qpos: np.ndarray, markers: np.ndarray, dt: float, path: Path
         with warnings.catch_warnings(), iio.imopen(path, "w", plugin="FFMPEG") as video:
             warnings.filterwarnings("ignore", message=r"os\.fork")  # ffmpeg is not Python; JAX cannot know
             video.write(frames, fps=rate, macro_block_size=1)
-
-
-def learning_curve(rows: list[dict], title: str, path: Path) -> None:
-    """Plot the return, the reward terms and the success rate of a run against its steps.
-
-    With preferences also the two returns that add up to it, dashed the task's, dotted the preference's.
-    """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(1, 3, figsize=(13, 3.6), layout="constrained")
-    terms = sorted(rows[0]["reward"])
-    for i, seed in enumerate(sorted({row["seed"] for row in rows})):
-        mine = [row for row in rows if row["seed"] == seed]
-        ended = [row for row in mine if row["episodes"]]
-        steps = [row["steps"] / 1e6 for row in ended]
-        for axis, name, words, style in _OUTCOMES:
-            if name in rows[0]["episode"]:
-                y = [row["episode"][name] for row in ended]
-                axes[axis].plot(steps, y, style, color=f"C{i}", label=f"seed {seed}{words}", lw=1.2)
-        for j, term in enumerate(terms):
-            x, y = [r["steps"] / 1e6 for r in mine], [1000 * r["reward"][term] for r in mine]
-            axes[1].plot(x, y, color=f"C{j}", label=term if seed == rows[0]["seed"] else None, lw=1.2)
-    for axis, name in zip(axes, ("return per episode", "reward per 1000 steps, by term", "success rate"), strict=True):
-        axis.set(xlabel="million env steps", title=name)
-        axis.grid(alpha=0.3)
-        axis.legend(frameon=False, fontsize=8)
-    figure.suptitle(title, fontsize=10)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
-
-
-_OUTCOMES = (  # of an episode: axis, name, words and line
-    (0, "return", "", "-"),
-    (0, "task_return", ", task", "--"),
-    (0, "preference_return", ", preference", ":"),
-    (2, "success", "", "-"),
-)

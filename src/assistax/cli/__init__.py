@@ -8,14 +8,18 @@ from typing import Any
 import tyro
 
 from assistax.cli.about import bench, doctor, humans, tasks
-from assistax.cli.playing import evaluate, gallery, render
+from assistax.cli.playing import evaluate, export, gallery, play, render
+from assistax.cli.reproducing import reproduce
+from assistax.cli.results import plot, table
 from assistax.cli.training import train
 from assistax.errors import AssistaxError
+
+COMMANDS = (train, play, evaluate, render, table, plot, export, gallery, reproduce, tasks, humans, doctor, bench)
 
 
 def main() -> None:
     """Entry point of the `assistax` command."""
-    commands: dict[str, Any] = {f.__name__: f for f in (train, evaluate, render, gallery, tasks, humans, doctor, bench)}
+    commands: dict[str, Any] = {command.__name__: command for command in COMMANDS}
     # Programs without physics are compiled once per machine; read when JAX is first imported.
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "assistax" / "jax"
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))

@@ -74,7 +74,7 @@ def train(
     else:
         if task is None:
             raise UsageError("Name a task, for example: assistax train scratch. `assistax tasks` lists them.")
-        choices = {"algorithm": algorithm, "preset": preset, "engine": engine, "steps": steps}
+        choices: dict[str, Any] = {"algorithm": algorithm, "preset": preset, "engine": engine, "steps": steps}
         choices |= {"num_envs": num_envs, "seed": seed, "num_seeds": num_seeds, "partners": partner}
         choices |= {"recurrent": recurrent, "share_parameters": share_parameters}
         config = configure(task, parse_assignments(set), **choices)

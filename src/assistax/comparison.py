@@ -1,0 +1,257 @@
+"""Experiments beside the paper's bound, the experts and each other: scales of the return, rows and tables."""
+
+import dataclasses
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from assistax.env import EnvConfig
+from assistax.errors import UsageError, choose
+from assistax.experts import BOUNDS
+from assistax.human.preference import BUDGET
+from assistax.results import Experiment, by_method, check_comparable, differences, flat, read_json, scales_return
+from assistax.statistics import FEW_SEEDS, Interval, iqm, mean, probability_of_improvement, seed_ci
+from assistax.tasks import task_class
+
+REFERENCES = Path("results/experts.json")  # what scripted policies reach, written by `assistax.reference`
+SCALES = {  # of a return
+    "bound": "return / paper's bound",
+    "expert": "return / expert's return",
+    "minmax": "min-max normalised return",  # 0 what the worst, 1 what the best scripted policy reaches
+}
+
+
+# -- scales ------------------------------------------------------------------------------------
+
+
+def read_references(path: Path = REFERENCES) -> list[dict[str, Any]]:
+    """What scripted policies reach: per task, policy and person what `summarize` says of them; [] without a file."""
+    records = read_json(path) if path.exists() else []
+    if not isinstance(records, list) or not all({"task", "policy", "human", "mean_return"} <= set(r) for r in records):
+        raise UsageError(f"{path} is not a list of records with task, policy, human and mean_return.")
+    return records
+
+
+def references_of(experiment: Experiment, records: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The records that were measured on the experiment's task, with its person and its reward."""
+    if not _standard(experiment):
+        return []
+    settings = experiment.runs[0].settings
+
+    def same_person(record):
+        names = ("disability", "preference", "people")
+        return all(record["human"].get(name, "none") == settings.get(f"env.human.{name}", "none") for name in names)
+
+    return [record for record in records if record["task"] == experiment.task and same_person(record)]
+
+
+def expert_of(experiment: Experiment, records: Iterable[dict[str, Any]]) -> dict[str, Any] | None:
+    """The record of the expert, or of the considerate one if that is better."""
+    found = [r for r in references_of(experiment, records) if r["policy"] in ("expert", "considerate")]
+    return max(found, key=lambda r: r["mean_return"], default=None)
+
+
+def bound_of(experiment: Experiment) -> float | None:
+    """The paper's upper bound of the return, with preferences the combined one; None if the reward is another."""
+    if not _standard(experiment):
+        return None
+    return BOUNDS[experiment.task] + experiment.preferring * EnvConfig.episode_length * BUDGET[experiment.task]
+
+
+def scale(experiment: Experiment, kind: str, records: Iterable[dict[str, Any]]) -> Interval | None:
+    """The returns that count 0 and 1 on one of SCALES; None if the experiment has none."""
+    if choose("scale", kind, SCALES) == "bound":
+        bound = bound_of(experiment)
+        return None if bound is None else (0.0, bound)
+    expert = expert_of(experiment, records)
+    if expert is None:
+        return None
+    if kind == "expert":
+        return 0.0, expert["mean_return"]
+    returns = [r["mean_return"] for r in references_of(experiment, records)]
+    return (min(returns), max(returns)) if len(returns) > 1 else None
+
+
+def scales(found: Iterable[Experiment], kind: str, records) -> dict[Experiment, Interval] | None:
+    """The `scale` of each, or None if one has none."""
+    ends = {e: scale(e, kind, records) for e in found}
+    known = {e: end for e, end in ends.items() if end is not None}
+    return known if len(known) == len(ends) else None
+
+
+def _standard(experiment: Experiment) -> bool:
+    """Whether reward and length of an episode are those that bounds and references are of."""
+    usual = {"task_config": dataclasses.asdict(task_class(experiment.task).config_type())}
+    usual["env"] = dataclasses.asdict(EnvConfig())
+    usual = json.loads(json.dumps(dict(flat(usual))))  # tuples as JSON has them
+    settings = experiment.runs[0].settings
+    return all(settings.get(name, value) == value for name, value in usual.items() if scales_return(name))
+
+
+# -- tables ------------------------------------------------------------------------------------
+
+
+def estimate(tasks: Sequence[np.ndarray], most: float = np.inf) -> dict[str, Any]:
+    """Mean and interquartile mean of scores, per task [seeds], with intervals over seeds; no score is above `most`."""
+    found: dict[str, Any] = {}
+    for name, statistic in {"mean": mean, "iqm": iqm}.items():
+        ci = seed_ci(tasks, statistic)
+        found |= {name: float(statistic(tasks)), f"{name}_ci": ci and (ci[0], min(ci[1], most))}
+    return found
+
+
+def describe(experiment: Experiment, records: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """One row: where it comes from and what its last evaluations came to, ready for JSON."""
+    runs, returns = experiment.runs, experiment.final("mean_return")
+    row = {"task": experiment.task, "person": experiment.person, **dataclasses.asdict(experiment.method)}
+    row |= {"seeds": experiment.seeds, "episodes": int(experiment.final("episodes").min())}
+    row["return"] = estimate([returns]) | {"by_seed": returns.tolist()}
+    for kind in ("bound", "expert"):
+        ends = scale(experiment, kind, records)
+        row[f"of_{kind}"] = None if ends is None else float(returns.mean() / ends[1])
+    if experiment.preferring:
+        row |= {name: estimate([experiment.final(name, "mean")]) for name in ("task_return", "preference_return")}
+    row["success"] = estimate([experiment.final("success_rate")], most=1.0)
+    row["force_in_contact"] = estimate([experiment.final("force", "mean_in_contact")])
+    row["peak_force"] = estimate([experiment.final("outcomes", "peak_force", "mean")])
+    about = {name: [run.stamp.get(name) for run in runs] for name in ("commit", "versions", "hardware")}
+    return row | {"settings": runs[0].settings, "runs": [str(run.folder) for run in runs], **about}
+
+
+def aggregates(found: Sequence[Experiment], records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Per method and person with two tasks and more: returns on each of SCALES over the tasks that have it."""
+    rows = []
+    for (person, method), each in by_method(found).items():
+        if len(each) < 2:
+            continue
+        row: dict[str, Any] = {"person": person, **dataclasses.asdict(method)}
+        row |= {"tasks": [e.task for e in each], "seeds": [len(e.seeds) for e in each]}
+        for kind in SCALES:
+            ends = scales(each, kind, records)
+            row[kind] = ends and estimate([(e.final("mean_return") - a) / (b - a) for e, (a, b) in ends.items()])
+        rows.append(row)
+    return rows
+
+
+def comparisons(found: Sequence[Experiment]) -> list[dict[str, Any]]:
+    """Of every two methods with the same person: how probable it is that the first beats the second."""
+    check_comparable(found)
+    groups = list(by_method(found).items())
+    rows = []
+    for i, ((person, first), ours) in enumerate(groups):
+        for (other, second), theirs in groups[i + 1 :]:
+            pairs = [(a, b) for a in ours for b in theirs if a.task == b.task]
+            if person != other or not pairs:
+                continue
+            scores = [[e.final("mean_return") for e in side] for side in zip(*pairs, strict=True)]
+            probability, ci = probability_of_improvement(*scores)
+            row: dict[str, Any] = {"person": person}
+            row |= {"first": dataclasses.asdict(first), "second": dataclasses.asdict(second)}
+            row |= {"tasks": [a.task for a, _ in pairs], "seeds": [[x.size for x in side] for side in scores]}
+            rows.append(row | {"probability_of_improvement": probability, "ci": ci})
+    return rows
+
+
+def report(found: Sequence[Experiment], records: Sequence[dict[str, Any]], compare: bool = False) -> dict[str, Any]:
+    """All there is to say of finished experiments, ready for JSON and for `tables`."""
+    said = {"experiments": [describe(e, records) for e in found], "aggregates": aggregates(found, records)}
+    if compare:
+        said["comparisons"] = comparisons(found)
+    said["remarks"] = [*differences(found), *_remarks(said, bool(records))]
+    return said
+
+
+def _remarks(said: dict[str, Any], referenced: bool) -> list[str]:
+    """What the cells mean, in sentences."""
+    rows, words = said["experiments"], []
+    numbers = [len(row["seeds"]) for row in rows]
+    if 1 in numbers:
+        words.append("1 seed: no interval, for it says nothing about the next.")
+    if any(1 < number < FEW_SEEDS for number in numbers):
+        words.append(
+            f"† fewer than {FEW_SEEDS} seeds: the interval (Student's t) is right if seeds are spread like a normal "
+            "distribution, and too narrow if a few of many fail."
+        )
+    if not referenced:
+        words.append(f"There is no {REFERENCES} here, so that no expert is compared with.")
+    elif any(row[name] is None for row in rows for name in ("of_bound", "of_expert")):
+        words.append("No fraction where reward, episode length or person are not those of the reference.")
+    return words
+
+
+Table = tuple[list[str], list[list[str]]]
+
+
+def tables(said: dict[str, Any]) -> list[Table]:
+    """Head and cells of each table of a `report`."""
+    found = []
+    rows = said["experiments"]
+    head = ["task", *_METHOD, "seeds", "return [95 %]", "of the bound", "of the expert"]
+    apart = [name for name in ("task_return", "preference_return") if any(name in row for row in rows)]
+    head += [name.replace("_", " ") for name in apart] + ["success", "force in contact, N", "peak force, N"]
+    cells = []
+    for row in rows:
+        n = len(row["seeds"])
+        fractions = [_percent(row[f"of_{kind}"]) for kind in ("bound", "expert")]
+        cell = [row["task"], *_method(row), str(n), _estimate(row["return"], n), *fractions]
+        cell += [_estimate(row.get(name), n) for name in apart] + [_estimate(row["success"], n, _percent)]
+        cells.append(
+            [*cell, *(_estimate(row[name], n, "{:.1f}".format) for name in ("force_in_contact", "peak_force"))]
+        )
+    found.append((head, cells))
+    if rows := said["aggregates"]:
+        head = [
+            "tasks",
+            *_METHOD,
+            "seeds",
+            *(f"{kind}, IQM [95 %]" for kind in ("of the bound", "of the expert", "min-max")),
+        ]
+        cells = []
+        for row in rows:
+            scores = [_estimate(row[kind], min(row["seeds"]), _percent, "iqm") for kind in SCALES]
+            cells.append([str(len(row["tasks"])), *_method(row), _seeds(row["seeds"]), *scores])
+        found.append((head, cells))
+    if rows := said.get("comparisons"):
+        cells = []
+        for row in rows:
+            value = {"mean": row["probability_of_improvement"], "mean_ci": row["ci"]}
+            names = [_name(row[who]) for who in ("first", "second")]
+            numbers = [_seeds(seeds) for seeds in row["seeds"]]
+            few = min(map(min, row["seeds"]))
+            cells.append(
+                [*names, row["person"], str(len(row["tasks"])), " / ".join(numbers), _estimate(value, few, _percent)]
+            )
+        found.append((["this", "beats that", "person", "tasks", "seeds", "with probability [95 %]"], cells))
+    return found
+
+
+_METHOD = ("algorithm", "preset", "person", "M steps")
+
+
+def _method(row: dict[str, Any]) -> list[str]:
+    name = row["algorithm"] + f" ({row['note']})" * bool(row["note"])
+    return [name, row["preset"], row["person"], f"{row['steps'] / 1e6:g}"]
+
+
+def _name(method: dict[str, Any]) -> str:
+    name, preset, _, steps = _method(method | {"person": ""})
+    return f"{name}, {preset}, {steps} M"
+
+
+def _seeds(numbers: Sequence[int]) -> str:
+    return "–".join(str(n) for n in sorted({min(numbers), max(numbers)}))
+
+
+def _percent(value: float | None) -> str:
+    return "" if value is None else f"{value:.0%}"
+
+
+def _estimate(value: dict[str, Any] | None, seeds: int, words=lambda x: f"{x:.0f}", kind: str = "mean") -> str:
+    if value is None:
+        return ""
+    ci = value[f"{kind}_ci"]
+    interval = "" if ci is None else f" [{words(ci[0])}, {words(ci[1])}]" + "†" * (seeds < FEW_SEEDS)
+    return words(value[kind]) + interval
