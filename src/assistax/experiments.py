@@ -1,0 +1,172 @@
+"""The experiments behind the results: which there are, how far each is, and a bit more of the next one.
+
+Work in progress lies in `runs/reproduce/`, with its checkpoints; what is finished goes to `results/`, whole
+or not at all. So any machine at hand for some minutes is useful: `assistax reproduce --budget 9m`.
+"""
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fnmatch import fnmatch
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+from assistax.errors import UsageError
+from assistax.learning.checkpoint import write_atomically
+from assistax.learning.presets import TASKS
+
+ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
+STEPS = {"masac": 6_000_000}  # the paper trains SAC for less
+PPO_STEPS = 40_000_000
+PEOPLE: dict[str, dict[str, Any]] = {  # by suffix of the experiment's name
+    "": {},
+    "-preferences": {"env.human.preference": "sweep"},
+    "-tremor+weakness": {"env.human.disability": "tremor+weakness"},
+}
+KEPT = ("config.json", "evaluations.jsonl", "summary.json", "learning_curve.png")  # of a finished run
+
+
+class Job(Protocol):
+    shows: ClassVar[str]
+
+    @property
+    def name(self) -> str:
+        """Its file or folder below `results/`."""
+        ...
+
+    def progress(self, work: Path) -> float:
+        """The fraction, 0 to 1, of it that lies in the folder `work`."""
+        ...
+
+    def advance(self, work: Path, seconds: float) -> Path | list[Path] | None:
+        """Go on in `work` for about so long; when finished, the file or the files of a folder to keep."""
+        ...
+
+
+@dataclass(frozen=True)
+class Training:
+    """One seed of one algorithm on one task."""
+
+    task: str
+    algorithm: str  # of ALGORITHMS
+    preset: str
+    people: str  # key of PEOPLE
+    seed: int
+    shows: ClassVar[str] = "learning curves"
+
+    @property
+    def name(self) -> str:
+        return f"{self.task}-{self.algorithm}-{self.preset}{self.people}-{self.steps // 1_000_000}M-{self.seed}"
+
+    @property
+    def steps(self) -> int:
+        return STEPS.get(self.algorithm, PPO_STEPS)
+
+    def progress(self, work: Path) -> float:
+        saved = [int(path.stem.split("_")[1]) for path in (work / "checkpoints").glob("step_*.safetensors")]
+        return min(1.0, max(saved, default=0) / self.steps)
+
+    def advance(self, work: Path, seconds: float) -> list[Path] | None:
+        from assistax.runs import Run, configure
+
+        if (work / "config.json").exists():
+            run = Run.open(work)
+        else:
+            algorithm, _, memory = self.algorithm.partition("-")
+            choices = {"algorithm": algorithm, "recurrent": bool(memory), "preset": self.preset}
+            settings = PEOPLE[self.people] | {"evaluations": 20}
+            run = Run.create(configure(self.task, settings, steps=self.steps, seed=self.seed, **choices), work)
+        if run.train(seconds) is None:
+            return None
+        return [work / name for name in KEPT]
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The speed of one task on this machine."""
+
+    task: str
+    shows: ClassVar[str] = "timing table"
+
+    @property
+    def name(self) -> str:
+        return f"bench/{self.task}.json"
+
+    def progress(self, work: Path) -> float:
+        return 0.0
+
+    def advance(self, work: Path, seconds: float) -> Path:
+        from assistax.bench import bench, bench_training
+        from assistax.env import make
+
+        env = make(self.task)
+        report = bench(env, 1024) | bench_training(env, 1024)
+        work.mkdir(parents=True, exist_ok=True)
+        path = work / f"{self.task}.json"
+        write_atomically(path, json.dumps(report, indent=2).encode())
+        return path
+
+
+def experiments(seeds: int = 1) -> Iterator[Job]:
+    """All of them, what matters most first; the paper has 16 seeds."""
+    yield from (Timing(task) for task in TASKS)
+    for seed in range(seeds):
+        for algorithm in ALGORITHMS:
+            presets = ("paper", "default") if algorithm == "ippo" else ("paper",)
+            for preset in presets:
+                yield from (Training(task, algorithm, preset, "", seed) for task in TASKS)
+        for people in list(PEOPLE)[1:]:
+            yield from (Training(task, "ippo", "default", people, seed) for task in TASKS)
+        for algorithm in ALGORITHMS[1:]:
+            yield from (Training(task, algorithm, "paper", "-preferences", seed) for task in TASKS)
+
+
+def status(chosen: list[Job], results: Path, work: Path) -> list[tuple[Job, float]]:
+    """With the fraction of each that is done."""
+    return [(e, 1.0 if (results / e.name).exists() else e.progress(work / e.name)) for e in chosen]
+
+
+def advance(chosen: list[Job], results: Path, work: Path, seconds: float) -> list[Job]:
+    """Do what is missing, in order, until the time is spent; returns what was finished."""
+    deadline, finished = time.monotonic() + seconds, []
+    for experiment in chosen:
+        left = deadline - time.monotonic()
+        if left <= 0:
+            break
+        if (results / experiment.name).exists():
+            continue
+        print(f"{experiment.name} ({experiment.progress(work / experiment.name):.0%} done)", flush=True)
+        kept = experiment.advance(work / experiment.name, left)
+        if kept is None:
+            break
+        publish(kept, results / experiment.name)
+        finished.append(experiment)
+    return finished
+
+
+def publish(kept: Path | list[Path], place: Path) -> None:
+    """Copy a file, or files into a folder, whole or not at all."""
+    place.parent.mkdir(parents=True, exist_ok=True)
+    if isinstance(kept, Path):
+        write_atomically(place, kept.read_bytes())
+        return
+    part = place.with_name(place.name + ".part")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir()
+    for path in kept:
+        shutil.copy(path, part)
+    os.replace(part, place)
+
+
+def choose_experiments(pattern: str | None, seeds: int) -> list[Job]:
+    """Those whose name fits a pattern with * and ?; a part of a name will do."""
+    every = list(experiments(seeds))
+    if pattern is None:
+        return every
+    found = [e for e in every if fnmatch(e.name, pattern) or fnmatch(e.name, f"*{pattern}*")]
+    if not found:
+        raise UsageError(f"No experiment is called {pattern!r}; `assistax reproduce` lists all.")
+    return found

@@ -1,0 +1,65 @@
+"""What is finished is kept whole, what is not goes on where it stopped."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from assistax.cli.reproducing import duration
+from assistax.errors import UsageError
+from assistax.experiments import advance, choose_experiments, experiments, status
+
+
+@dataclass(frozen=True)
+class Counting:
+    """Needs `pieces` calls; leaves a folder, or a file if it is called so."""
+
+    name: str
+    pieces: int
+    shows = "counting"
+
+    def progress(self, work: Path) -> float:
+        return len(list(work.glob("piece*"))) / self.pieces
+
+    def advance(self, work: Path, seconds: float):
+        work.mkdir(parents=True, exist_ok=True)
+        done = len(list(work.glob("piece*"))) + 1
+        (work / f"piece{done}").write_text(str(done))
+        if done < self.pieces:
+            return None
+        last = work / f"piece{done}"
+        return last if self.name.endswith(".json") else [work / "piece1", last]
+
+
+def test_pieces_add_up_and_nothing_is_done_twice(tmp_path):
+    results, work = tmp_path / "results", tmp_path / "work"
+    chosen = [Counting("quick/one.json", 1), Counting("long", 3), Counting("later", 1)]
+    assert [e.name for e in advance(chosen, results, work, 60)] == ["quick/one.json"]
+    assert [fraction for _, fraction in status(chosen, results, work)] == [1.0, pytest.approx(1 / 3), 0.0]
+    assert advance(chosen, results, work, 60) == []
+    (results / "long.part").mkdir()  # of an earlier attempt, cut short
+    (results / "long.part" / "rubbish").touch()
+    assert [e.name for e in advance(chosen, results, work, 60)] == ["long", "later"]
+    assert sorted(p.name for p in (results / "long").iterdir()) == ["piece1", "piece3"]
+    assert (results / "quick" / "one.json").read_text() == "1"
+    assert sorted(p.name for p in results.iterdir()) == ["later", "long", "quick"]
+    assert advance(chosen, results, work, 60) == [] and [f for _, f in status(chosen, results, work)] == [1.0] * 3
+
+
+def test_names_are_unique_and_chosen_by_pattern():
+    names = [e.name for e in experiments(seeds=3)]
+    assert len(names) == len(set(names)) and "feeding-mappo-rnn-paper-40M-2" in names
+    assert [e.name for e in choose_experiments("scratch-masac-paper-6M", 2)] == [
+        "scratch-masac-paper-6M-0",
+        "scratch-masac-paper-6M-1",
+    ]
+    assert len(choose_experiments("*-ippo-paper-40M-?", 2)) == 10
+    with pytest.raises(UsageError, match="No experiment is called 'scrach'"):
+        choose_experiments("scrach", 1)
+
+
+def test_durations():
+    assert [duration(text) for text in ("90s", "9m", "1.5h")] == [90, 540, 5400]
+    for text in ("9", "0m", "m", "-3m", "9 m"):
+        with pytest.raises(UsageError, match="time like 90s"):
+            duration(text)
