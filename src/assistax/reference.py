@@ -1,5 +1,6 @@
 """Pages of the documentation that are measured, not typed:
 
+python -m assistax.reference measure > experts.json && mv experts.json results/
 python -m assistax.reference experts > docs/experts.md
 python -m assistax.reference speed > docs/speed.md
 """
@@ -12,19 +13,21 @@ from typing import Any
 import jax
 import numpy as np
 
+from assistax.comparison import read_references
 from assistax.env import make
 from assistax.errors import choose
 from assistax.evaluation import evaluate, play, summarize
 from assistax.experts import BOUNDS
 from assistax.human import DISABILITIES
 from assistax.policies import scripted_team
+from assistax.stamp import commit
 
 EPISODES = 64
 EXPERTS_PAGE = """# Scripted policies
 
 Each task has a scripted robot, the expert, that knows the whole simulator state (`src/assistax/experts.py`).
 All numbers are over {episodes} episodes on the evaluation seeds; the person is still unless said otherwise. This page
-is written by `python -m assistax.reference experts > docs/experts.md` in some minutes.
+is written by `python -m assistax.reference experts > docs/experts.md` from `results/experts.json`.
 
 ## Expert
 
@@ -58,49 +61,26 @@ def markdown(head: list[str], rows: list[list[str]]) -> str:
     return "\n".join("| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows))
 
 
-def experts() -> str:
-    head = ["task", "success", "return", "of the paper's bound", "force in contact, N", "95 % below, N", "peak, N"]
-    rows = []
-    for task, bound in BOUNDS.items():
-        report = _play(task, "expert")
-        force, value = report["force"], report["mean_return"]
-        numbers = [f"{force[name]:.1f}" for name in ("mean_in_contact", "p95")] + [f"{force['peak']:.0f}"]
-        rows.append([task, f"{report['success_rate']:.0%}", f"{value:.0f}", f"{value / bound:.0%}", *numbers])
-    return markdown(head, rows)
+def measure() -> list[dict[str, Any]]:
+    """What scripted policies reach with whom: the records of results/experts.json."""
+    records = []
 
+    def add(task, policy, report, **human):
+        person = {"disability": "none", "preference": "none", "people": "none"} | human
+        records.append({"task": task, "policy": policy, "human": person, **report, "commit": commit()})
 
-def nobody() -> str:
-    rows = []
     for task in BOUNDS:
-        reports = [_play(task, policy) for policy in ("still", "random")]
-        rows.append([task, *(f"{r['mean_return']:.0f}, success {r['success_rate']:.0%}" for r in reports)])
-    return markdown(["task", "still: return", "random: return"], rows)
-
-
-def disabled() -> str:
-    rows = []
-    for task in BOUNDS:
+        for policy in ("still", "random", "expert"):
+            add(task, policy, _play(task, policy))
+        for policy in ("still", "random", "expert", "considerate"):
+            add(task, policy, _play(task, policy, human={"preference": "sweep"}), preference="sweep")
         env = make(task, human={"disability": "standard"})
         result = play(env, scripted_team("expert", env), len(DISABILITIES) * EPISODES)
-        cells = []
-        for index in range(len(DISABILITIES)):
-            one = summarize(jax.tree.map(lambda x, who=result["person"] == index: x[who], _per_episode(result)))
-            cells.append(f"{one['success_rate']:.0%} ({one['force']['mean_in_contact']:.1f})")
-        rows.append([task, *cells])
-    return markdown(["task", *DISABILITIES], rows)
-
-
-def considerate() -> str:
-    rows = []
-    for task in BOUNDS:
-        row = [task]
-        for policy in ("expert", "considerate"):
-            report = _play(task, policy, human={"preference": "sweep"})
-            row += [f"{report[name]['mean']:.0f}" for name in ("task_return", "preference_return")]
-            row += [f"{report['success_rate']:.0%}"]
-        rows.append(row)
-    head = [f"{who}: {what}" for who in ("plain", "considerate") for what in ("task return", "preference", "success")]
-    return markdown(["task", *head], rows)
+        episodes = {name: result[name] for name in ("terms", "metrics", "force", "playing")}
+        for index, disability in enumerate(DISABILITIES):
+            one = jax.tree.map(lambda x, who=result["person"] == index: x[who], episodes)
+            add(task, "expert", summarize(one), disability=disability)
+    return records
 
 
 def _play(task: str, policy: str, **settings) -> dict[str, Any]:
@@ -108,8 +88,38 @@ def _play(task: str, policy: str, **settings) -> dict[str, Any]:
     return evaluate(env, scripted_team(policy, env), EPISODES)
 
 
-def _per_episode(result: dict[str, Any]) -> dict[str, Any]:
-    return {name: result[name] for name in ("terms", "metrics", "force", "playing")}
+def experts(records: list[dict[str, Any]]) -> str:
+    """The page of the scripted policies."""
+
+    def find(task, policy, **human):
+        person = {"disability": "none", "preference": "none", "people": "none"} | human
+        return next(r for r in records if (r["task"], r["policy"], r["human"]) == (task, policy, person))
+
+    plain, nobody, disabled, considerate = [], [], [], []
+    for task, bound in BOUNDS.items():
+        report = find(task, "expert")
+        force, value = report["force"], report["mean_return"]
+        numbers = [f"{force[name]:.1f}" for name in ("mean_in_contact", "p95")] + [f"{force['peak']:.0f}"]
+        plain.append([task, f"{report['success_rate']:.0%}", f"{value:.0f}", f"{value / bound:.0%}", *numbers])
+        reports = [find(task, policy) for policy in ("still", "random")]
+        nobody.append([task, *(f"{r['mean_return']:.0f}, success {r['success_rate']:.0%}" for r in reports)])
+        reports = [find(task, "expert", disability=name) for name in DISABILITIES]
+        disabled.append([task, *(f"{r['success_rate']:.0%} ({r['force']['mean_in_contact']:.1f})" for r in reports)])
+        row = [task]
+        for policy in ("expert", "considerate"):
+            report = find(task, policy, preference="sweep")
+            row += [f"{report[name]['mean']:.0f}" for name in ("task_return", "preference_return")]
+            row += [f"{report['success_rate']:.0%}"]
+        considerate.append(row)
+    head = ["task", "success", "return", "of the paper's bound", "force in contact, N", "95 % below, N", "peak, N"]
+    apart = [f"{who}: {what}" for who in ("plain", "considerate") for what in ("task return", "preference", "success")]
+    return EXPERTS_PAGE.format(
+        episodes=EPISODES,
+        experts=markdown(head, plain),
+        nobody=markdown(["task", "still: return", "random: return"], nobody),
+        disabled=markdown(["task", *DISABILITIES], disabled),
+        considerate=markdown(["task", *apart], considerate),
+    )
 
 
 SPEED_PAGE = """# Speed
@@ -163,11 +173,14 @@ def speed(folder: Path) -> str:
 
 
 def main(page: str) -> str:
-    if page == "speed":
-        return speed(Path("results/bench"))
-    tables = {"experts": experts(), "nobody": nobody(), "disabled": disabled(), "considerate": considerate()}
-    return EXPERTS_PAGE.format(episodes=EPISODES, **tables)
+    match choose("page", page, ["measure", "experts", "speed"]):
+        case "measure":
+            return json.dumps(measure(), indent=1) + "\n"
+        case "experts":
+            return experts(read_references())
+        case _:
+            return speed(Path("results/bench"))
 
 
 if __name__ == "__main__":
-    print(main(choose("page", sys.argv[-1], ["experts", "speed"])), end="")
+    print(main(sys.argv[-1]), end="")
