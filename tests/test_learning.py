@@ -233,6 +233,21 @@ def test_improve_starts_from_the_rollouts_own_numbers(scratch, recurrent):
         assert float(stats[agent]["value_change"]) < 1e-5
 
 
+def test_the_first_batch_is_seen_with_its_own_statistics_later_ones_with_the_rollouts(monkeypatch):
+    ppo = PPO(Meeting(), PPOConfig(num_steps=8, num_minibatches=1), num_envs=4, total_iterations=1)
+    counts, samples = [], ppo._samples
+
+    def spy(state, batch):
+        counts.append(int(state.normalizer["human"].count))
+        return samples(state, batch)
+
+    monkeypatch.setattr(ppo, "_samples", spy)
+    state = ppo.init(jax.random.key(0))
+    for _ in range(3):
+        state, _ = ppo.improve(*ppo.collect(state))
+    assert counts == [32, 32, 64] and int(state.normalizer["human"].count) == 96
+
+
 def test_a_shared_network_has_no_dummy_dimensions():
     """Entropy and log-probability of the human, who has one action, know nothing of the robot's second."""
     ppo, state, *_ = trained(Meeting(), 1, 4, num_steps=8, num_minibatches=1, share_parameters=True)

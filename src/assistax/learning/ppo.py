@@ -297,7 +297,12 @@ class PPO:
     def improve(self, state: TrainState, batch: dict) -> tuple[TrainState, dict]:
         """`update_epochs` passes over the batch; returns the means of the losses and the like."""
         c = self.config
-        samples = self._samples(state, batch)
+        informed = {view: update_stats(state.normalizer[view], x) for view, x in batch["obs"].items()}
+        # The first batch was played before anything was known of observations; its own statistics serve at once, as
+        # a fresh actor's mean is near 0 whatever it sees. Later ones are used only from the next rollout on, so that
+        # every log-probability is computed with the rollout's own numbers.
+        used = jax.tree.map(partial(jnp.where, state.iteration == 0), informed, state.normalizer)
+        samples = self._samples(replace(state, normalizer=used), batch)
         if not c.recurrent:  # without memory, every step is a sequence of its own
             samples = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
         axis = 1 if c.recurrent else 0  # of the sequences
@@ -327,8 +332,7 @@ class PPO:
             state,
             params=params,
             opt_state=opt_state,
-            # Only now, so that every log-probability above was computed with the rollout's own numbers.
-            normalizer={view: update_stats(state.normalizer[view], x) for view, x in batch["obs"].items()},
+            normalizer=informed,
             key=key,
             iteration=state.iteration + 1,
         )
