@@ -1,6 +1,7 @@
 """PPO and its parts, against numbers worked by hand, loops in NumPy and games whose optimum is known."""
 
 import time
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -12,12 +13,13 @@ from scipy import stats as scipy_stats
 from assistax.errors import UsageError
 from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
 from assistax.learning.gae import gae
-from assistax.learning.networks import gaussian_entropy, gaussian_log_prob, init_mlp, mlp
+from assistax.learning.networks import gaussian_entropy, gaussian_log_prob, init_mlp, mlp, remember
 from assistax.learning.normalizer import init_stats, normalize, update_stats
 from assistax.learning.ppo import PPO, PPOConfig, clip_networks, clipped_policy_loss
 from assistax.learning.presets import PRESETS, preset
 from assistax.learning.sac import SACConfig
 from assistax.learning.seats import Partner, Seats
+from assistax.learning.tuned import tunable
 from assistax.policies import Actor, Random, Still
 from assistax.tasks import TASKS
 
@@ -138,21 +140,45 @@ def loop(net, x, carry, reset):
     for now, first in zip(x, reset, strict=True):
         for i, layer in enumerate(net["layers"]):
             now = now @ layer["w"] + layer["b"]
-            if i + 1 < len(net["layers"]):
-                now = np.tanh(now)
             if i == 0 and carry is not None:
                 carry = now = gru_by_the_book(net["gru"], now, np.zeros_like(carry) if first else carry)
+            elif i + 1 < len(net["layers"]):
+                now = np.tanh(now)
         outputs.append(now)
         carries.append(carry)
     return np.array(outputs), carries
 
 
-def gru_by_the_book(gru, x, h):
+def gru_by_the_book(gru, x, h, np=np):
     """One step of a GRU, gate by gate."""
-    xf, xu, xn = np.split(x @ gru["wx"] + gru["b"], 3)
-    hf, hu, hn = (h @ w for w in np.split(gru["wh"], 3, axis=1))
+    xf, xu, xn = np.split(x, 3)
+    hf, hu, hn = (h @ w for w in np.split(gru["w"], 3, axis=1))
     forget, update = (1.0 / (1.0 + np.exp(-z)) for z in (xf + hf, xu + hu))
-    return (1.0 - update) * np.tanh(xn + forget * (hn + gru["bh"])) + update * h
+    return (1.0 - update) * np.tanh(xn + forget * (hn + gru["b"])) + update * h
+
+
+def test_the_gradient_of_a_gru_is_that_of_a_plain_loop():
+    """The weights', the inputs' and the first memory's, with resets, for which JAX differentiates the loop itself."""
+    keys = jax.random.split(jax.random.key(0), 5)
+    gru = {"w": jax.random.normal(keys[0], (4, 12)), "b": jax.random.normal(keys[1], (4,))}
+    x, carry = jax.random.normal(keys[2], (5, 2, 12)), jax.random.normal(keys[3], (2, 4))
+    matters = jax.random.normal(keys[4], (5, 2, 4))
+    reset = jnp.array([[1, 0], [0, 0], [0, 1], [0, 0], [1, 0]], bool)
+
+    def plainly(gru, x, carry):
+        total = 0.0
+        for i in range(2):
+            h = carry[i]
+            for t in range(5):
+                h = gru_by_the_book(gru, x[t, i], jnp.where(reset[t, i], 0.0, h), jnp)
+                total += h @ matters[t, i]
+        return total
+
+    def at_once(gru, x, carry):
+        return jnp.sum(remember(gru, x, carry, reset) * matters)
+
+    found, expected = (jax.jit(jax.value_and_grad(f, (0, 1, 2)))(gru, x, carry) for f in (at_once, plainly))
+    jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-5), found, expected)
 
 
 VARIANTS = [
@@ -392,6 +418,33 @@ def test_only_whole_episodes_are_reported_when_starts_are_staggered():
     reported = int(batch["log"]["episodes"])
     whole = 8 * 20 // 5 - sum(5 - t < 5 for t in np.asarray(state.env_state["t"]))
     assert reported == whole
+
+
+def test_tuned_settings_stand_in_for_those_of_the_configuration():
+    """All at once as the configuration has them; each that is the default instead makes a difference."""
+    others = {"learning_rate": 3e-2, "clip_eps": 0.05, "entropy_coef": 0.1, "value_coef": 2.0, "gamma": 0.5}
+    others |= {"gae_lambda": 0.3, "max_grad_norm": 0.1, "initial_log_std": -1.0}
+    assert set(others) == tunable(PPOConfig())
+    quick = {"num_steps": 10, "num_minibatches": 2, "update_epochs": 2, "hidden": (8,)}
+
+    def params(config):
+        ppo = PPO(Cue(), config, 8, 3)
+
+        def iterations(tuned):
+            step = lambda state, _: (ppo.improve(*ppo.collect(state))[0], None)  # noqa: E731
+            return jax.lax.scan(step, ppo.init(jax.random.key(0), tuned), length=3)[0].params
+
+        return jax.jit(iterations)
+
+    expected, tuned = params(PPOConfig(**quick, **others))({}), params(PPOConfig(**quick))
+
+    def error(settings):
+        found = tuned({name: jnp.float32(value) for name, value in settings.items()})
+        return max(jax.tree.leaves(jax.tree.map(lambda x, y: float(jnp.abs(x - y).max()), found, expected)))
+
+    assert error(others) < 1e-4
+    for name in others:
+        assert error(others | {name: getattr(PPOConfig(), name)}) > 1e-3, name
 
 
 def test_sizes_that_do_not_divide_are_refused():

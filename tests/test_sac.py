@@ -19,6 +19,7 @@ from assistax.learning.replay import Packing, add, init_replay, sample
 from assistax.learning.sac import SAC, SACConfig, move_target, temperature_loss
 from assistax.learning.seats import Partner
 from assistax.learning.squashed import log_tanh_slope, sample_squashed, split_head, squashed_log_prob
+from assistax.learning.tuned import tunable
 from assistax.policies import SquashedActor
 
 
@@ -189,7 +190,7 @@ def test_soft_targets_by_hand(joint):
     n = 20_000
     x = {"reward": jnp.ones(n), "terminated": jnp.arange(n) % 2 == 0, "next_others": {}}
     seen = {"robot": jnp.zeros((n, 2)), "human": jnp.zeros((n, 1)), "global": jnp.zeros((n, 2))}
-    targets = trainer.soft_targets(params, x, seen, jax.random.key(0))
+    targets = trainer.soft_targets(trainer.config, params, x, seen, jax.random.key(0))
 
     std, u = math.exp(-1.5), np.linspace(-3.0, 3.0, 100_001)
     density = np.exp(-0.5 * (u / std) ** 2) / std / math.sqrt(2.0 * math.pi)
@@ -270,6 +271,33 @@ def test_resumed_equals_uninterrupted(scratch, tmp_path):
         if jnp.issubdtype(a.dtype, jax.dtypes.prng_key):
             a, b = jax.random.key_data(a), jax.random.key_data(b)
         np.testing.assert_array_equal(a, b, err_msg=jax.tree_util.keystr(path))
+
+
+def test_tuned_settings_stand_in_for_those_of_the_configuration():
+    """All at once as the configuration has them; each that is the default instead makes a difference."""
+    others = {"actor_learning_rate": 3e-2, "critic_learning_rate": 2e-2, "alpha_learning_rate": 1e-2}
+    others |= {"tau": 0.3, "gamma": 0.5, "initial_alpha": 0.1}
+    assert set(others) == tunable(SACConfig())
+    quick = {"updates": 3, "batch_size": 32, "buffer_size": 1024, "warmup": 64, "hidden": (8,)}
+
+    def params(config):
+        trainer = SAC(Carrying(), config, num_envs=8, total_iterations=3)
+
+        def iterations(tuned):
+            step = lambda state, _: (trainer.improve(*trainer.collect(state))[0], None)  # noqa: E731
+            return jax.lax.scan(step, trainer.init(jax.random.key(0), tuned), length=3)[0].params
+
+        return jax.jit(iterations)
+
+    expected, tuned = params(SACConfig(**quick, **others))({}), params(SACConfig(**quick))
+
+    def error(settings):
+        found = tuned({name: jnp.float32(value) for name, value in settings.items()})
+        return max(jax.tree.leaves(jax.tree.map(lambda x, y: float(jnp.abs(x - y).max()), found, expected)))
+
+    assert error(others) < 1e-4
+    for name in others:
+        assert error(others | {name: getattr(SACConfig(), name)}) > 1e-3, name
 
 
 # -- partners --------------------------------------------------------------------------------------

@@ -11,10 +11,11 @@ from assistax.cli.about import bench, doctor, humans, tasks
 from assistax.cli.playing import evaluate, export, gallery, play, render
 from assistax.cli.reproducing import reproduce
 from assistax.cli.results import plot, table
+from assistax.cli.sweeping import sweep
 from assistax.cli.training import train
 from assistax.errors import AssistaxError
 
-COMMANDS = (train, play, evaluate, render, table, plot, export, gallery, reproduce, tasks, humans, doctor, bench)
+COMMANDS = (train, sweep, play, evaluate, render, table, plot, export, gallery, reproduce, tasks, humans, doctor, bench)
 
 
 def main() -> None:

@@ -79,7 +79,7 @@ def train(
         choices |= {"recurrent": recurrent, "share_parameters": share_parameters}
         config = configure(task, parse_assignments(set), **choices)
         name = f"{task}-{config.algorithm}{'-rnn' * recurrent}{'-shared' * share_parameters}-{config.seed}"
-        run = Run.create(config, out or _free_folder(name))
+        run = Run.create(config, out or free_folder(name))
     print(f"{run.config.task} on the {run.env.engine.name} engine, into {run.folder}", file=sys.stderr)
     summary = run.train()
     if summary is None:
@@ -92,7 +92,7 @@ def train(
     )
 
 
-def _free_folder(name: str) -> Path:
+def free_folder(name: str) -> Path:
     folder, number = Path("runs") / name, 2
     while folder.exists():
         folder, number = Path("runs") / f"{name}-{number}", number + 1

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 MLP = list[dict[str, jax.Array]]
 Network = dict[str, Any]
-"""{"layers": MLP} and, if it remembers, "gru", which follows the first layer."""
+"""{"layers": MLP} and, if it remembers, "gru": the first layer then feeds its gates."""
 ACTIVATIONS = {"tanh": jnp.tanh, "relu": jax.nn.relu, "swish": jax.nn.swish}
 
 
@@ -22,41 +22,100 @@ def init_mlp(key: jax.Array, sizes: Sequence[int], out_scale: float) -> MLP:
     ]
 
 
+def dense(layer: dict[str, jax.Array], x: jax.Array) -> jax.Array:
+    """x [..., m] to [..., n] by an affine map."""
+    # Flat, as the gradient of a product over several axes transposes them first: twice the time on a CPU.
+    flat = x.reshape(-1, x.shape[-1]) if x.ndim > 2 else x
+    return (flat @ layer["w"] + layer["b"]).reshape(*x.shape[:-1], -1)
+
+
 def mlp(layers: MLP, x: jax.Array, activation: str) -> jax.Array:
     """Apply to x [..., sizes[0]]; no activation after the last layer."""
     for layer in layers[:-1]:
-        x = ACTIVATIONS[activation](x @ layer["w"] + layer["b"])
-    return x @ layers[-1]["w"] + layers[-1]["b"]
+        x = ACTIVATIONS[activation](dense(layer, x))
+    return dense(layers[-1], x)
 
 
 def init_network(key: jax.Array, sizes: Sequence[int], out_scale: float, recurrent: bool) -> Network:
-    """An MLP; if `recurrent` with a GRU of sizes[1] units after its first layer."""
+    """An MLP; if `recurrent` with a GRU of sizes[1] units in place of its first layer."""
+    layers = init_mlp(key, sizes, out_scale)
     if not recurrent:
-        return {"layers": init_mlp(key, sizes, out_scale)}
-    key, x_key, h_key = jax.random.split(key, 3)
-    n = sizes[1]
+        return {"layers": layers}
+    x_key, h_key = jax.random.split(jax.random.fold_in(key, 1))
+    m, n = sizes[:2]
 
-    def gates(key):
-        square = jax.nn.initializers.orthogonal()
-        return jnp.concatenate([square(k, (n, n), jnp.float32) for k in jax.random.split(key, 3)], axis=1)
+    def gates(key, scale, rows):
+        orthogonal = jax.nn.initializers.orthogonal(scale)
+        return jnp.concatenate([orthogonal(k, (rows, n), jnp.float32) for k in jax.random.split(key, 3)], axis=1)
 
-    gru = {"wx": gates(x_key), "wh": gates(h_key), "b": jnp.zeros(3 * n), "bh": jnp.zeros(n)}
-    return {"layers": init_mlp(key, sizes, out_scale), "gru": gru}
+    layers[0] = {"w": gates(x_key, 2.0**0.5, m), "b": jnp.zeros(3 * n)}
+    return {"layers": layers, "gru": {"w": gates(h_key, 1.0, n), "b": jnp.zeros(n)}}
 
 
-def gru_cell(gru: dict[str, jax.Array], x: jax.Array, h: jax.Array) -> jax.Array:
+def gru_gates(x: jax.Array, recalled: jax.Array, h: jax.Array) -> jax.Array:
     """The next memory [..., n] (Cho et al., 2014; forget gate after the product, as cuDNN has it).
 
     Args:
-      gru: weights; the gates are in the order forget, update, new.
-      x: [..., 3n] what the input adds to the gates: input @ wx + b.
+      x: [..., 3n] what the input adds to the gates forget, update and new: input @ wx + b.
+      recalled: [..., 3n] what the memory adds: h @ wh, and bh for the gate new.
       h: [..., n] the memory so far.
     """
     n = h.shape[-1]
-    recalled = h @ gru["wh"]
     forget, update = jnp.split(jax.nn.sigmoid(x[..., : 2 * n] + recalled[..., : 2 * n]), 2, axis=-1)
-    new = jnp.tanh(x[..., 2 * n :] + forget * (recalled[..., 2 * n :] + gru["bh"]))
+    new = jnp.tanh(x[..., 2 * n :] + forget * recalled[..., 2 * n :])
     return new + update * (h - new)
+
+
+@jax.custom_vjp
+def remember(gru: dict[str, jax.Array], x: jax.Array, carry: jax.Array, reset: jax.Array) -> jax.Array:
+    """A GRU's memory [T, ..., n] after each step.
+
+    Its gradient is the plain one, but the weights' is one product after the scan, not a sum inside of it.
+
+    Args:
+      gru: "w" [n, 3n], weights of the memory, and "b" [n], its bias in the gate new.
+      x: [T, ..., 3n] what the inputs add to the gates.
+      carry: [..., n] memory before the first step.
+      reset: [T, ...] whether the memory is emptied before a step.
+    """
+    return _remember(gru, x, carry, reset)[0]
+
+
+def _remember(gru, x, carry, reset):
+    b = jnp.pad(gru["b"], (2 * len(gru["b"]), 0))
+
+    def step(h, now):
+        x, forgotten = now
+        recalled = h @ gru["w"] + b
+        after = gru_gates(x, recalled, h)
+        return _unless(forgotten, after), (h, recalled, after)
+
+    # The memory is emptied at the end of the step before: written over itself, it would not be vectorised.
+    next_reset = jnp.concatenate([reset[1:], jnp.zeros_like(reset[:1])])
+    _, (before, recalled, after) = jax.lax.scan(step, _unless(reset[0], carry), (x, next_reset))
+    return after, (gru, x, reset, before, recalled)
+
+
+def _remember_back(residuals, d_after):
+    gru, x, reset, before, recalled = residuals
+
+    def step(dh, now):
+        d_after, reset, *inputs = now
+        dx, d_recalled, dh_direct = jax.vjp(gru_gates, *inputs)[1](d_after + dh)
+        return _unless(reset, dh_direct + d_recalled @ gru["w"].T), (dx, d_recalled)
+
+    start = jnp.zeros_like(before[0])
+    d_carry, (dx, d_recalled) = jax.lax.scan(step, start, (d_after, reset, x, recalled, before), reverse=True)
+    before, flat = (a.reshape(-1, a.shape[-1]) for a in (before, d_recalled))
+    return {"w": before.T @ flat, "b": flat[:, -len(gru["b"]) :].sum(0)}, dx, d_carry, None
+
+
+remember.defvjp(_remember, _remember_back)
+
+
+def _unless(reset: jax.Array, h: jax.Array) -> jax.Array:
+    """h [..., n], and zero where `reset` [...]."""
+    return jnp.where(reset[..., None], 0.0, h)
 
 
 def unroll(net: Network, x: jax.Array, carry: Any, reset: jax.Array, activation: str) -> tuple[jax.Array, Any]:
@@ -74,15 +133,7 @@ def unroll(net: Network, x: jax.Array, carry: Any, reset: jax.Array, activation:
     if "gru" not in net:
         return mlp(net["layers"], x, activation), ()
     first, *rest = net["layers"]
-    # All that does not depend on the memory is done for all steps at once.
-    inputs = ACTIVATIONS[activation](x @ first["w"] + first["b"]) @ net["gru"]["wx"] + net["gru"]["b"]
-
-    def remember(h, step):
-        inputs, reset = step
-        h = gru_cell(net["gru"], inputs, jnp.where(reset[..., None], 0.0, h))
-        return h, h
-
-    _, carries = jax.lax.scan(remember, carry, (inputs, reset))
+    carries = remember(net["gru"], dense(first, x), carry, reset)
     return mlp(rest, carries, activation), carries
 
 

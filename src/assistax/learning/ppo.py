@@ -8,7 +8,7 @@ functions of a TrainState, to be jitted and, over seeds, vmapped.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -32,6 +32,7 @@ from assistax.learning.networks import (
 )
 from assistax.learning.normalizer import init_stats, normalize, update_stats
 from assistax.learning.seats import Partner, Seats
+from assistax.learning.tuned import overlaid
 from assistax.policies import Actor
 from assistax.pytree import pytree
 
@@ -39,7 +40,7 @@ from assistax.pytree import pytree
 @dataclass(frozen=True)
 class PPOConfig:
     central_critic: bool = False  # critics see the global state (MAPPO) instead of the agent's own observation (IPPO)
-    recurrent: bool = False  # in actors a GRU of hidden[0] units in place of the second layer
+    recurrent: bool = False  # in actors a GRU of hidden[0] units in place of the first layer
     share_parameters: bool = False  # one actor and one critic for all learners, told who they are
     learning_rate: float = 3e-4
     anneal_learning_rate: bool = False  # linearly to zero over the run
@@ -60,15 +61,15 @@ class PPOConfig:
     stagger: bool = True  # start the environments at different times of their episodes
 
     def __post_init__(self):
-        for field in ("num_steps", "update_epochs", "num_minibatches"):
-            if getattr(self, field) < 1:
-                raise UsageError(f"ppo.{field} must be 1 or more, not {getattr(self, field)}.")
-        for field in ("learning_rate", "clip_eps", "max_grad_norm"):
-            if getattr(self, field) <= 0:
-                raise UsageError(f"ppo.{field} must be above 0, not {getattr(self, field)}.")
-        for field in ("gamma", "gae_lambda"):
-            if not 0 <= getattr(self, field) <= 1:
-                raise UsageError(f"ppo.{field} must be in [0, 1], not {getattr(self, field)}.")
+        for name in ("num_steps", "update_epochs", "num_minibatches"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"ppo.{name} must be 1 or more, not {getattr(self, name)}.")
+        for name in ("learning_rate", "clip_eps", "max_grad_norm"):
+            if getattr(self, name) <= 0:
+                raise UsageError(f"ppo.{name} must be above 0, not {getattr(self, name)}.")
+        for name in ("gamma", "gae_lambda"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise UsageError(f"ppo.{name} must be in [0, 1], not {getattr(self, name)}.")
         if not all(size > 0 for size in self.hidden) or (not self.hidden and (self.recurrent or self.share_parameters)):
             raise UsageError(f"ppo.hidden must be the sizes of one layer or more, not {self.hidden}.")
         choose("activation", self.activation, ACTIVATIONS)
@@ -88,6 +89,7 @@ class TrainState:
     seated: dict[str, Any]  # who plays the seats that do not learn
     key: jax.Array
     iteration: jax.Array  # int32
+    tuned: dict[str, jax.Array] = field(default_factory=dict)  # settings that stand in for the configuration's
 
 
 class PPO:
@@ -121,21 +123,20 @@ class PPO:
                 f"num_envs x ppo.num_steps = {num_envs} x {config.num_steps} = {self.steps_per_iteration} samples do "
                 f"not divide into ppo.num_minibatches = {config.num_minibatches}."
             )
-        rate = config.learning_rate
-        if config.anneal_learning_rate:
-            updates = total_iterations * config.update_epochs * config.num_minibatches
-            rate = optax.linear_schedule(rate, 0.0, updates)
-        self._adam = optax.adam(rate, eps=1e-5)
+        self._adam = optax.adam(1.0, eps=1e-5)  # its steps are multiplied by the learning rate
+        self._updates = total_iterations * config.update_epochs * config.num_minibatches
         self._critic_sees = {agent: "global" if config.central_critic else agent for agent in self.learners}
         self._units = config.hidden[0] if config.recurrent else 0  # of memory
         self._sizes = {agent: env.observation_sizes[agent] for agent in self.learners}
         if config.central_critic:
             self._sizes["global"] = env.global_size
 
-    def init(self, key: jax.Array) -> TrainState:
-        c, env = self.config, self.env
+    def init(self, key: jax.Array, tuned: Mapping[str, jax.Array] | None = None) -> TrainState:
+        """A fresh state; `tuned` are settings by name that it carries in place of the configuration's."""
+        tuned = dict(tuned or {})
+        c, env = overlaid(self.config, tuned), self.env
         key, reset_key, net_key, seat_key = jax.random.split(key, 4)
-        params = self._init_params(net_key)
+        params = self._init_params(c, net_key)
         normalizer = {view: init_stats(size) for view, size in self._sizes.items()}
         # In step, all environments would be at the same moment of the task in every batch.
         elapsed = jnp.arange(self.num_envs) * env.episode_length // self.num_envs * c.stagger
@@ -152,15 +153,15 @@ class PPO:
             seated=self.seats.init(seat_key),
             key=key,
             iteration=jnp.int32(0),
+            tuned=tuned,
         )
 
-    def _init_params(self, key):
-        c, sizes, actions = self.config, self._sizes, self.env.action_sizes
+    def _init_params(self, c, key):
+        sizes, actions = self._sizes, self.env.action_sizes
 
         def pair(key, seen, seen_by_critic, acts):
             actor_key, critic_key = jax.random.split(key)
-            hidden = c.hidden[:1] + c.hidden[2:] if c.recurrent else c.hidden
-            actor = init_network(actor_key, (seen, *hidden, acts), 0.01, c.recurrent)
+            actor = init_network(actor_key, (seen, *c.hidden, acts), 0.01, c.recurrent)
             actor["log_std"] = jnp.full(acts, c.initial_log_std, jnp.float32)
             critic = init_mlp(critic_key, (self._units + seen_by_critic, *c.hidden, 1), 1.0)
             return {"actor": actor, "critic": {"layers": critic}}
@@ -266,7 +267,7 @@ class PPO:
         [num_steps, num_envs, ...]: "obs" as networks see it, "reset" and, by learner, its actions with
         their advantages and value targets.
         """
-        c, networks = self.config, self._networks(state.params)
+        c, networks = overlaid(self.config, state.tuned), self._networks(state.params)
         seen, final = self._seen(state.normalizer, batch["obs"]), self._seen(state.normalizer, batch["final_obs"])
         samples = {"obs": seen, "reset": batch["reset"]}
         for agent in self.learners:
@@ -296,25 +297,28 @@ class PPO:
 
     def improve(self, state: TrainState, batch: dict) -> tuple[TrainState, dict]:
         """`update_epochs` passes over the batch; returns the means of the losses and the like."""
-        c = self.config
+        c = overlaid(self.config, state.tuned)
         informed = {view: update_stats(state.normalizer[view], x) for view, x in batch["obs"].items()}
         # The first batch was played before anything was known of observations; its own statistics serve at once, as
         # a fresh actor's mean is near 0 whatever it sees. Later ones are used only from the next rollout on, so that
         # every log-probability is computed with the rollout's own numbers.
         used = jax.tree.map(partial(jnp.where, state.iteration == 0), informed, state.normalizer)
         samples = self._samples(replace(state, normalizer=used), batch)
-        if not c.recurrent:  # without memory, every step is a sequence of its own
-            samples = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
-        axis = 1 if c.recurrent else 0  # of the sequences
-        sequences = samples["reset"].shape[axis]
+        samples = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
+        # Without memory, every step is a sequence of its own.
+        steps = jnp.arange(c.num_steps)[:, None] * self.num_envs if c.recurrent else 0
+        sequences = self.num_envs if c.recurrent else self.steps_per_iteration
 
         def minibatch(carry, ids):
             params, opt_state = carry
-            part = jax.tree.map(lambda x: jnp.take(x, ids, axis), samples)
+            part = jax.tree.map(lambda x: x[steps + ids], samples)
             part_start = jax.tree.map(lambda x: x[ids], batch["memory"])
-            grads, stats = jax.grad(self._loss, has_aux=True)(params, part, part_start)
+            grads, stats = jax.grad(partial(self._loss, c), has_aux=True)(params, part, part_start)
+            rate = c.learning_rate
+            if c.anneal_learning_rate:
+                rate *= 1.0 - opt_state[0].count / self._updates
             updates, opt_state = self._adam.update(clip_networks(grads, c.max_grad_norm), opt_state)
-            return (optax.apply_updates(params, updates), opt_state), stats
+            return (optax.apply_updates(params, optax.tree.scale(rate, updates)), opt_state), stats
 
         def epoch(carry, key):
             ids = jax.random.permutation(key, sequences).reshape(c.num_minibatches, -1)
@@ -338,15 +342,15 @@ class PPO:
         )
         return state, stats
 
-    def _loss(self, params, part, start):
+    def _loss(self, c, params, part, start):
         losses, stats = {}, {}
         for agent, networks in self._networks(params).items():
-            losses[agent], stats[agent] = self._agent_loss(agent, networks, part, start[agent])
+            losses[agent], stats[agent] = self._agent_loss(c, agent, networks, part, start[agent])
         # Shared weights learn from all agents' samples together: the mean over them.
-        return sum(losses.values()) / (len(losses) if self.config.share_parameters else 1), stats
+        return sum(losses.values()) / (len(losses) if c.share_parameters else 1), stats
 
-    def _agent_loss(self, agent, networks, part, start):
-        c, x, reset = self.config, part[agent], part["reset"]
+    def _agent_loss(self, c, agent, networks, part, start):
+        x, reset = part[agent], part["reset"]
         mean, memory = unroll(networks["actor"], part["obs"][agent], start, reset, c.activation)
         log_std = networks["actor"]["log_std"]
         log_ratio = gaussian_log_prob(x["action"], mean, log_std) - x["log_prob"]

@@ -8,7 +8,7 @@ jitted with the state donated (the replay is then written in place) and, over se
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -23,6 +23,7 @@ from assistax.learning.normalizer import RunningStats, init_stats, normalize, up
 from assistax.learning.replay import Packing, Replay, add, init_replay, sample
 from assistax.learning.seats import Partner, Seats
 from assistax.learning.squashed import sample_squashed, split_head
+from assistax.learning.tuned import overlaid
 from assistax.policies import SquashedActor
 from assistax.pytree import pytree
 
@@ -47,14 +48,14 @@ class SACConfig:
     stagger: bool = True  # start the environments at different times of their episodes
 
     def __post_init__(self):
-        for field in ("num_steps", "updates", "batch_size", "buffer_size"):
-            if getattr(self, field) < 1:
-                raise UsageError(f"sac.{field} must be 1 or more, not {getattr(self, field)}.")
+        for name in ("num_steps", "updates", "batch_size", "buffer_size"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"sac.{name} must be 1 or more, not {getattr(self, name)}.")
         if self.warmup < 0:
             raise UsageError(f"sac.warmup must be 0 or more, not {self.warmup}.")
-        for field in ("actor_learning_rate", "critic_learning_rate", "alpha_learning_rate", "initial_alpha"):
-            if getattr(self, field) <= 0:
-                raise UsageError(f"sac.{field} must be above 0, not {getattr(self, field)}.")
+        for name in ("actor_learning_rate", "critic_learning_rate", "alpha_learning_rate", "initial_alpha"):
+            if getattr(self, name) <= 0:
+                raise UsageError(f"sac.{name} must be above 0, not {getattr(self, name)}.")
         if not 0 < self.tau <= 1:
             raise UsageError(f"sac.tau must be in (0, 1], not {self.tau}.")
         if not 0 <= self.gamma <= 1:
@@ -76,6 +77,7 @@ class SACState:
     others: dict[str, jax.Array]  # partner -> [num_envs, n], what it will do next
     key: jax.Array
     iteration: jax.Array  # int32
+    tuned: dict[str, jax.Array] = field(default_factory=dict)  # settings that stand in for the configuration's
 
 
 class SAC:
@@ -111,14 +113,12 @@ class SAC:
             self._critics = {agent: (agent, (agent,)) for agent in self.learners}
         self._packing = Packing(env)
         self._target_entropy = {agent: -float(env.action_sizes[agent]) for agent in self.learners}
-        self._adam = {
-            "actor": optax.adam(config.actor_learning_rate),
-            "critic": optax.adam(config.critic_learning_rate),
-            "log_alpha": optax.adam(config.alpha_learning_rate),
-        }
+        self._adam = optax.adam(1.0)  # its steps are multiplied by the learning rates
 
-    def init(self, key: jax.Array) -> SACState:
-        c, env = self.config, self.env
+    def init(self, key: jax.Array, tuned: Mapping[str, jax.Array] | None = None) -> SACState:
+        """A fresh state; `tuned` are settings by name that it carries in place of the configuration's."""
+        tuned = dict(tuned or {})
+        c, env = overlaid(self.config, tuned), self.env
         key, reset_key, actor_key, critic_key, seat_key, act_key = jax.random.split(key, 6)
         # In step, all environments would be at the same moment of the task.
         elapsed = jnp.arange(self.num_envs) * env.episode_length // self.num_envs * c.stagger
@@ -140,7 +140,7 @@ class SAC:
             critic[name] = pair
         log_alpha = {agent: jnp.log(jnp.float32(c.initial_alpha)) for agent in self.learners}
         params = {"actor": actor, "critic": critic, "log_alpha": log_alpha}
-        opt_state = {name: adam.init(params[name]) for name, adam in self._adam.items()}
+        opt_state = {name: self._adam.init(params[name]) for name in params}
         params["target"] = jax.tree.map(jnp.copy, critic)
 
         transition = {
@@ -153,7 +153,7 @@ class SAC:
         }
         replay = init_replay(transition, c.buffer_size, self.steps_per_iteration)
         normalizer = init_stats(row.shape[-1])
-        return SACState(params, opt_state, normalizer, replay, env_state, obs, seated, others, key, jnp.int32(0))
+        return SACState(params, opt_state, normalizer, replay, env_state, obs, seated, others, key, jnp.int32(0), tuned)
 
     # -- acting --------------------------------------------------------------------------------
 
@@ -234,43 +234,43 @@ class SAC:
     def improve(self, state: SACState, batch: dict) -> tuple[SACState, dict]:
         """`updates` gradient steps on samples of the replay; returns the means of the losses and the like."""
         del batch  # it is in the replay
+        c = overlaid(self.config, state.tuned)
         key, update_key = jax.random.split(state.key)
 
         def update(carry, key):
             sample_key, step_key = jax.random.split(key)
-            x = sample(state.replay, sample_key, self.config.batch_size)
-            return self.gradient_step(carry, x, state.normalizer, step_key)
+            x = sample(state.replay, sample_key, c.batch_size)
+            return self.gradient_step(c, carry, x, state.normalizer, step_key)
 
         start = (state.params, state.opt_state)
-        (params, opt_state), stats = jax.lax.scan(update, start, jax.random.split(update_key, self.config.updates))
+        (params, opt_state), stats = jax.lax.scan(update, start, jax.random.split(update_key, c.updates))
         state = replace(state, params=params, opt_state=opt_state, key=key, iteration=state.iteration + 1)
         return state, jax.tree.map(jnp.mean, stats)
 
-    def gradient_step(self, learned, x: dict, normalizer: RunningStats, key: jax.Array):
-        """Critics, actors, temperatures, then targets, on transitions x [batch_size, ...].
+    def gradient_step(self, c, learned, x: dict, normalizer: RunningStats, key: jax.Array):
+        """Critics, actors, temperatures, then targets, on transitions x [batch_size, ...], with settings c.
 
         Returns ((params, opt_state), stats by learner).
         """
-        c = self.config
         params, opt_state = dict(learned[0]), dict(learned[1])
         seen, next_seen = self._see(x["obs"], normalizer), self._see(x["next_obs"], normalizer)
         next_key, actor_key = jax.random.split(key)
         alpha = jax.tree.map(jnp.exp, params["log_alpha"])
 
-        def descend(name, loss):
+        def descend(name, loss, rate):
             grads, aux = jax.grad(loss, has_aux=True)(params[name])
-            updates, opt_state[name] = self._adam[name].update(grads, opt_state[name])
-            params[name] = optax.apply_updates(params[name], updates)
+            steps, opt_state[name] = self._adam.update(grads, opt_state[name])
+            params[name] = optax.apply_updates(params[name], optax.tree.scale(rate, steps))
             return aux
 
-        targets = self.soft_targets(params, x, next_seen, next_key)
+        targets = self.soft_targets(c, params, x, next_seen, next_key)
 
         def critic_loss(critics):
             judged = {name: self._judge(name, critics[name], seen, x["actions"]) for name in critics}
             losses = {name: sum(jnp.square(q - targets[name]).mean() for q in judged[name]) for name in judged}
             return sum(losses.values()), (losses, {name: judged[name][0].mean() for name in judged})
 
-        critic_losses, values = descend("critic", critic_loss)
+        critic_losses, values = descend("critic", critic_loss, c.critic_learning_rate)
 
         def actor_loss(actors):
             actions, log_probs = self._draw(actors, seen, actor_key)
@@ -281,12 +281,12 @@ class SAC:
             )
             return cost - gain, {agent: -log_probs[agent].mean() for agent in self.learners}
 
-        entropy = descend("actor", actor_loss)
+        entropy = descend("actor", actor_loss, c.actor_learning_rate)
 
         def alpha_loss(log_alphas):
             return temperature_loss(log_alphas, entropy, self._target_entropy), None
 
-        descend("log_alpha", alpha_loss)
+        descend("log_alpha", alpha_loss, c.alpha_learning_rate)
         params["target"] = move_target(params["target"], params["critic"], c.tau)
         stats = {}
         for agent in self.learners:
@@ -299,11 +299,11 @@ class SAC:
             }
         return (params, opt_state), stats
 
-    def soft_targets(self, params, x: dict, next_seen: dict, key: jax.Array) -> dict[str, jax.Array]:
+    def soft_targets(self, c, params, x: dict, next_seen: dict, key: jax.Array) -> dict[str, jax.Array]:
         """By critic, what it should say of the transitions [batch]: reward, and the soft value of what follows."""
         actions, log_probs = self._draw(params["actor"], next_seen, key)
         actions |= x["next_others"]
-        goes_on = self.config.gamma * (1.0 - x["terminated"])
+        goes_on = c.gamma * (1.0 - x["terminated"])
         targets = {}
         for name, (_, agents) in self._critics.items():
             value = jnp.minimum(*self._judge(name, params["target"][name], next_seen, actions))

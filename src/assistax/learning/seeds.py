@@ -1,49 +1,75 @@
-"""Several seeds of one training at once."""
+"""Several trainings at once."""
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 
-class Seeds:
-    """Runs functions written for one seed for all of them: seed k of several is the run of seed k alone.
+class Lanes:
+    """Runs functions written for one training for `count` of them: each is the training it would be alone.
 
     On a CPU they take turns in one compiled program, as batches of small networks are slower there
-    than one after the other; a "state of all seeds" is then a list. An accelerator runs them side by
+    than one after the other; a "state of all lanes" is then a list. An accelerator runs them side by
     side, and the state has a leading axis, as it has in every checkpoint.
     """
 
-    def __init__(self, seeds: range):
-        self.seeds = seeds
-        self._side_by_side = len(seeds) > 1 and jax.default_backend() != "cpu"
+    def __init__(self, count: int):
+        self.count = count
+        self._side_by_side = count > 1 and jax.default_backend() != "cpu"
 
-    def init(self, fn) -> Any:
-        """The state of all seeds from `fn(key)`."""
-        fn, keys = jax.jit(fn), [jax.random.key(seed) for seed in self.seeds]
-        return jax.vmap(fn)(jnp.stack(keys)) if self._side_by_side else [fn(key) for key in keys]
+    def start(self, fn) -> Callable[..., Any]:
+        """`fn(key, ...)`, which makes a state, for lists [count] of its arguments: the state of all lanes."""
+        if self._side_by_side:
+            batched = jax.jit(jax.vmap(fn))
+            return lambda *lists: batched(*map(_stack, lists))
+        fn = jax.jit(fn)
+        return lambda *lists: [fn(*one) for one in zip(*lists, strict=True)]
 
     def jit(self, fn):
-        """`fn(state, ...)`, which returns two things, for all seeds; the state that it is given is used up."""
+        """`fn(state, ...)`, which returns two things, for all lanes; the state that it is given is used up."""
         if self._side_by_side:
             return jax.jit(jax.vmap(fn), donate_argnums=0)
         fn = jax.jit(fn, donate_argnums=0)
         return lambda *args: tuple(map(list, zip(*(fn(*one) for one in zip(*args, strict=True)), strict=True)))
 
-    def like(self, fn) -> Any:
-        """Shapes of what a checkpoint holds: a leading axis of seeds."""
-        return jax.eval_shape(jax.vmap(fn), jax.random.split(jax.random.key(0), len(self.seeds)))
+    def like(self, fn, *lists) -> Any:
+        """Shapes of what a checkpoint of `start(fn)(*lists)` holds: a leading axis of lanes."""
+        return jax.eval_shape(jax.vmap(fn), *map(_stack, lists))
 
     def each(self, tree) -> list:
-        """By seed."""
-        return [jax.tree.map(lambda x, i=i: x[i], tree) for i in range(len(self.seeds))] if self._side_by_side else tree
+        """By lane."""
+        return _unstack(tree, self.count) if self._side_by_side else tree
 
     def join(self, state):
-        """With a leading axis of seeds."""
-        return state if self._side_by_side else jax.tree.map(lambda *xs: jnp.stack(xs), *state)
+        """With a leading axis of lanes."""
+        return state if self._side_by_side else _stack(state)
 
     def split(self, joined):
         """The opposite of `join`."""
-        if self._side_by_side:
-            return joined
-        return [jax.tree.map(lambda x, i=i: x[i], joined) for i in range(len(self.seeds))]
+        return joined if self._side_by_side else _unstack(joined, self.count)
+
+
+class Seeds(Lanes):
+    """A lane for each seed: seed k of several is the run of seed k alone."""
+
+    def __init__(self, seeds: Sequence[int]):
+        super().__init__(len(seeds))
+        self.seeds = seeds
+        self._keys = [jax.random.key(seed) for seed in seeds]
+
+    def init(self, fn) -> Any:
+        """The state of all seeds from `fn(key)`."""
+        return self.start(fn)(self._keys)
+
+    def like(self, fn, *lists) -> Any:
+        return super().like(fn, self._keys, *lists)
+
+
+def _stack(trees: Sequence[Any]) -> Any:
+    return jax.tree.map(lambda *xs: jnp.stack(xs), *trees)
+
+
+def _unstack(tree: Any, count: int) -> list:
+    return [jax.tree.map(lambda x, i=i: x[i], tree) for i in range(count)]

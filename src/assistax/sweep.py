@@ -1,0 +1,292 @@
+"""Random search over hyperparameters, the way the paper tuned every algorithm; resumable at any moment.
+
+sweep.json             what was asked for, and the configurations that were drawn
+trials.jsonl           one line per finished trial: a configuration trained with a seed
+unfinished.safetensors where the trials that were being trained stand
+ranking.json           the configurations that have been tried, best first
+sweep.png              one panel per hyperparameter; sweep_NAME.png: one, as in the paper's appendix
+
+Configurations are ranked by the area under the learning curve. A trial's curve has a point per iteration: the mean
+reward per step of that iteration times the length of an episode, the return of whole episodes at this pace. Every step
+counts, whether its episode has ended or not. The area is the mean of the points. Training that becomes non-finite has
+failed and has no area.
+"""
+
+import io
+import itertools
+import json
+import math
+import os
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+from tqdm import tqdm
+
+from assistax.config import with_settings
+from assistax.errors import UsageError
+from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
+from assistax.learning.search import Search, draw, intervals
+from assistax.learning.seeds import Lanes
+from assistax.learning.tuned import tunable
+from assistax.physics import check_faults
+from assistax.physics.engine import UNSTABLE
+from assistax.runs import CHECKPOINT_SECONDS, Clock, Run, Stop, TrainConfig, stored_config, to_json
+from assistax.stamp import stamp
+from assistax.statistics import seed_ci
+from assistax.sweep_figures import facets, overview
+
+Trial = tuple[int, int]
+"""The number of a configuration, and a seed."""
+LAST = 0.1  # share of a trial that its final return and success are of
+
+
+class Sweep:
+    """A sweep folder, new or found. Use `create` or `open`."""
+
+    def __init__(self, folder: Path, config: TrainConfig, search: Search, drawn: Sequence[dict[str, Any]]):
+        self.folder, self.config, self.search, self.drawn = folder, config, dict(search), list(drawn)
+        self.seeds = range(config.seed, config.seed + config.num_seeds)
+        inputs = {f"{config.group}.{name}" for name in tunable(getattr(config, config.group))}
+        if compiled_in := set(intervals(search)) - inputs:
+            known = ", ".join(sorted(inputs))
+            raise UsageError(f"{min(compiled_in)} takes choices like A,B,C; an interval is possible for {known}.")
+        self._inputs = [{n.split(".")[1]: v for n, v in settings.items() if n in inputs} for settings in drawn]
+        # Configurations that differ only in inputs are trained by the same program.
+        programs: dict[str, list[int]] = {}
+        for i, settings in enumerate(drawn):
+            constants = {name: value for name, value in settings.items() if name not in inputs}
+            programs.setdefault(json.dumps(constants, sort_keys=True), []).append(i)
+        self._programs = list(programs.values())
+        configs = [with_settings(config, settings) for settings in drawn]  # all are checked now
+        self._runs = {i: run for mine in self._programs for run in [Run(folder, configs[mine[0]])] for i in mine}
+
+    @classmethod
+    def create(cls, config: TrainConfig, folder: Path, count: int, search: Search) -> "Sweep":
+        """Draw `count` configurations and make the folder, which must be new or empty."""
+        if count < 1:
+            raise UsageError(f"configs must be 1 or more, not {count}.")
+        if not search:
+            raise UsageError(
+                "Nothing is left to search: every hyperparameter is fixed by --set. Name one with --search."
+            )
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise UsageError(f"{folder} is already in use; name another --out, or continue it with --resume {folder}.")
+        sweep = cls(folder, config, search, draw(search, count, config.seed))
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise UsageError(f"Cannot write to {folder}: {error.strerror}.") from None
+        content = {"config": to_json(config), "search": sweep.search, "drawn": sweep.drawn}
+        write_atomically(folder / "sweep.json", json.dumps(content, indent=2).encode())
+        return sweep
+
+    @classmethod
+    def open(cls, folder: Path) -> "Sweep":
+        """Read a sweep folder; it must have been begun with the versions that are installed now."""
+        path, now = folder / "sweep.json", stamp()
+        if not path.exists():
+            raise UsageError(f"{folder} is not a sweep folder: it has no sweep.json.")
+        try:
+            stored = json.loads(path.read_text())
+            begun = stored["config"]["stamp"]
+            there, here = (one["versions"] | {"commit": one["commit"]} for one in (begun, now))
+            if differ := [name for name in there | here if there.get(name) != here.get(name)]:
+                words = ", ".join(f"{name} {there.get(name)}, now {here.get(name)}" for name in differ)
+                raise UsageError(f"{folder} was begun with {words}. Go back to that, or start a new sweep.")
+            return cls(folder, stored_config(stored["config"]), stored["search"], stored["drawn"])
+        except (json.JSONDecodeError, KeyError, TypeError, AttributeError):
+            raise UsageError(f"{path} is damaged; restore it or start a new sweep.") from None
+
+    def trials(self) -> dict[Trial, dict[str, Any]]:
+        """The lines of trials.jsonl, without one that a crash has torn at the end."""
+        path, found = self.folder / "trials.jsonl", {}
+        lines = path.read_text().splitlines() if path.exists() else []
+        for number, line in enumerate(lines, 1):
+            try:
+                row = json.loads(line)
+            except json.JSONDecodeError:
+                if number == len(lines):
+                    break
+                raise UsageError(f"Line {number} of {path} is damaged; remove it to train its trial again.") from None
+            if not self._belongs(row):
+                raise UsageError(f"Line {number} of {path} is of another sweep; remove it.")
+            found.setdefault((row["config"], row["seed"]), row)
+        return found
+
+    def _belongs(self, row: Any) -> bool:
+        try:
+            i = row["config"]
+            return row["settings"] == self.drawn[i] and row["seed"] in self.seeds and row["steps"] == self._steps(i)
+        except (KeyError, TypeError, IndexError):
+            return False
+
+    def _steps(self, config: int) -> int:
+        run = self._runs[config]
+        return run.iterations * run.steps_per_iteration
+
+    # -- training ------------------------------------------------------------------------------
+
+    def run(self, side_by_side: int | None = None) -> list[dict[str, Any]] | None:
+        """Train what has not been trained; returns the ranking, or None if stopped by Ctrl-C.
+
+        Args:
+          side_by_side: how many trials a program trains at once (default: on an accelerator as many as there are
+            seeds, on a CPU one).
+        """
+        if side_by_side is None:
+            side_by_side = 1 if jax.default_backend() == "cpu" else len(self.seeds)
+        if side_by_side < 1:
+            raise UsageError(f"side_by_side must be 1 or more, not {side_by_side}.")
+        finished = self.trials()
+        write_atomically(self.folder / "trials.jsonl", _lines(finished.values()))
+        total = sum(map(self._steps, range(len(self.drawn)))) * len(self.seeds)
+        initial = sum(row["steps"] for row in finished.values())
+        with Stop() as stop, tqdm(total=total, initial=initial, unit=" steps", unit_scale=True) as bar:
+            for members in self._programs:
+                left = [(i, seed) for seed in self.seeds for i in members if (i, seed) not in finished]
+                programs: dict[int, Program] = {}
+                for at in range(0, len(left), side_by_side):
+                    chunk = left[at : at + side_by_side]
+                    if len(chunk) not in programs:
+                        programs[len(chunk)] = Program(self._runs[members[0]], len(chunk))
+                    rows = self._train(programs[len(chunk)], chunk, stop, bar)
+                    if rows is None:
+                        return None
+                    finished |= {(row["config"], row["seed"]): row for row in rows}
+                    self._append(rows)
+                    ranking = self._report(finished.values())
+                    bar.set_postfix_str(f"{len(finished)} trials, best area {ranking[0]['auc'] or math.nan:.0f}")
+        ranking = self._report(finished.values())
+        for name in intervals(self.search):
+            path = self.folder / f"sweep_{name.split('.')[-1]}.png"
+            _save(facets(ranking, self.search, name, self._title()), path)
+        return ranking
+
+    def _train(self, program: "Program", chunk: list[Trial], stop: Stop, bar: tqdm) -> list[dict[str, Any]] | None:
+        """The lines of some trials, from their checkpoint if there is one; None if stopped."""
+        run, lanes, path = program.run, program.lanes, self.folder / "unfinished.safetensors"
+        keys = [jax.random.key(seed) for _, seed in chunk]
+        tuned = [{name: jnp.float32(value) for name, value in self._inputs[i].items()} for i, _ in chunk]
+        about: dict[str, Any] = {"trials": [list(trial) for trial in chunk]}
+        stored = read_metadata(path) if path.exists() else {}
+        if stored.get("trials") == about["trials"]:
+            state = lanes.split(load_checkpoint(path, lanes.like(run.trainer.init, keys, tuned)))
+            about["points"], clock = stored["points"], Clock(stored["seconds"])
+        else:
+            state = program.start(keys, tuned)
+            about["points"], clock = [[] for _ in chunk], Clock({})
+        points = about["points"]
+        done, before, saved = len(points[0]), bar.n, time.monotonic()
+        while done < run.iterations and any(map(is_sound, points)):
+            leave = stop.asked
+            if leave or time.monotonic() - saved > CHECKPOINT_SECONDS:
+                save_checkpoint(path, lanes.join(state), about | {"seconds": clock.seconds})
+                saved = time.monotonic()
+            if leave:
+                return None
+            with clock("training"):
+                state, batch = program.collect(state)
+                state, _ = program.improve(state, batch)
+                logs = jax.device_get([one["log"] for one in lanes.each(batch)])
+            for mine, log in zip(points, logs, strict=True):
+                check_faults(log["fault"] & ~UNSTABLE, run.env.engine.name)
+                mine.append(point(log, run.env.episode_length))
+            done += 1
+            bar.update(before + done * run.steps_per_iteration * len(chunk) - bar.n)
+        bar.update(before + self._steps(chunk[0][0]) * len(chunk) - bar.n)
+        seconds = round(sum(clock.seconds.values()) / len(chunk), 1)
+        return [
+            {"config": i, "seed": seed, "settings": self.drawn[i], "steps": self._steps(i), "seconds": seconds}
+            | outcome(mine, run.steps_per_iteration)
+            for (i, seed), mine in zip(chunk, points, strict=True)
+        ]
+
+    def _append(self, rows: Iterable[dict]) -> None:
+        with open(self.folder / "trials.jsonl", "ab") as file:
+            file.write(_lines(rows))
+            file.flush()
+            os.fsync(file.fileno())
+        (self.folder / "unfinished.safetensors").unlink(missing_ok=True)
+
+    def _title(self) -> str:
+        seeds = f"{len(self.seeds)} seed{'s' * (len(self.seeds) > 1)}"
+        return f"{self.config.task}, {self.config.algorithm}: {len(self.drawn)} configurations, {seeds}"
+
+    def _report(self, rows: Iterable[dict]) -> list[dict[str, Any]]:
+        ranking = rank(rows)
+        write_atomically(self.folder / "ranking.json", json.dumps(ranking, indent=2).encode())
+        _save(overview(ranking, self.search, self._title()), self.folder / "sweep.png")
+        return ranking
+
+
+def _save(figure: Figure, path: Path) -> None:
+    content = io.BytesIO()
+    figure.savefig(content, format="png")
+    write_atomically(path, content.getvalue())
+
+
+class Program:
+    """A trainer's functions for `count` trials at once, compiled once."""
+
+    def __init__(self, run: Run, count: int):
+        self.run, self.lanes, trainer = run, Lanes(count), run.trainer
+        self.start = self.lanes.start(trainer.init)
+        self.collect, self.improve = self.lanes.jit(trainer.collect), self.lanes.jit(trainer.improve)
+
+
+# -- what trials came to -----------------------------------------------------------------------
+
+
+def point(log: Mapping[str, Any], episode_length: int) -> list[float]:
+    """Of an iteration's log: the return at its pace, NaN if the simulation broke, episodes ended, successes."""
+    episodes = int(log["episodes"])
+    reward = math.nan if log["fault"] else float(sum(log["reward"].values()))
+    return [episode_length * reward, episodes, episodes * float(log["episode"].get("success", math.nan))]
+
+
+def is_sound(points: Sequence[Sequence[float]]) -> bool:
+    """Whether training has not become non-finite."""
+    return all(math.isfinite(one[0]) for one in points)
+
+
+def outcome(points: Sequence[Sequence[float]], every: int) -> dict[str, Any]:
+    """What a trial came to, from its points, `every` steps apart."""
+    sound = list(itertools.takewhile(lambda one: math.isfinite(one[0]), points))
+    curve = [[(k + 1) * every, round(one[0], 3)] for k, one in enumerate(sound)]
+    result = {"curve": curve, "auc": None, "final_return": None, "success": None, "failed": len(sound) < len(points)}
+    if result["failed"]:
+        return result
+    last = np.array(points[-max(1, round(LAST * len(points))) :])
+    result |= {"auc": float(np.mean([one[0] for one in points])), "final_return": float(last[:, 0].mean())}
+    if last[:, 1].sum() and np.isfinite(last[:, 2]).all():
+        result["success"] = float(last[:, 2].sum() / last[:, 1].sum())
+    return result
+
+
+def rank(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Configurations by the mean area over their seeds, best first. A failed trial counts as the worst that did not."""
+    by_config: dict[int, list[dict]] = {}
+    for row in rows:
+        by_config.setdefault(row["config"], []).append(row)
+    areas = [row["auc"] for mine in by_config.values() for row in mine if not row["failed"]]
+    worst, ranking = min(areas, default=None), []
+    for config, mine in by_config.items():
+        entry = {"config": config, "settings": mine[0]["settings"], "auc": None, "interval": None}
+        if worst is not None:
+            scores = np.array([worst if row["failed"] else row["auc"] for row in mine])
+            entry |= {"auc": float(scores.mean()), "interval": seed_ci([scores])}
+        for name in ("final_return", "success"):
+            known = [row[name] for row in mine if row[name] is not None]
+            entry[name] = float(np.mean(known)) if known else None
+        ranking.append(entry | {"seeds": len(mine), "failed": sum(row["failed"] for row in mine)})
+    return sorted(ranking, key=lambda entry: -entry["auc"] if areas else 0)
+
+
+def _lines(rows: Iterable[dict]) -> bytes:
+    return "".join(json.dumps(row) + "\n" for row in rows).encode()
