@@ -110,6 +110,39 @@ class Timing:
         return path
 
 
+@dataclass(frozen=True)
+class Sweeping:
+    """A small random search."""
+
+    task: str
+    algorithm: str
+    configs: int = 24
+    steps: int = 2_000_000
+    shows: ClassVar[str] = "sweep"
+
+    @property
+    def name(self) -> str:
+        return f"sweep-{self.task}-{self.algorithm}-{self.configs}x{self.steps // 1_000_000}M"
+
+    def progress(self, work: Path) -> float:
+        path = work / "trials.jsonl"
+        return (path.read_bytes().count(b"\n") if path.exists() else 0) / self.configs
+
+    def advance(self, work: Path, seconds: float) -> list[Path] | None:
+        from assistax.learning.search import SEARCH
+        from assistax.runs import configure
+        from assistax.sweep import Sweep
+
+        if (work / "sweep.json").exists():
+            sweep = Sweep.open(work)
+        else:
+            config = configure(self.task, {}, algorithm=self.algorithm, preset="paper", steps=self.steps)
+            sweep = Sweep.create(config, work, self.configs, SEARCH[config.group])
+        if sweep.run(seconds=seconds) is None:
+            return None
+        return [work / name for name in ("sweep.json", "ranking.json")] + sorted(work.glob("*.png"))
+
+
 def experiments(seeds: int = 1) -> Iterator[Job]:
     """All of them, what matters most first; the paper has 16 seeds."""
     yield from (Timing(task) for task in TASKS)
@@ -118,6 +151,8 @@ def experiments(seeds: int = 1) -> Iterator[Job]:
             presets = ("paper", "default") if algorithm == "ippo" else ("paper",)
             for preset in presets:
                 yield from (Training(task, algorithm, preset, "", seed) for task in TASKS)
+        if seed == 0:
+            yield Sweeping("scratch", "ippo")
         for people in list(PEOPLE)[1:]:
             yield from (Training(task, "ippo", "default", people, seed) for task in TASKS)
         for algorithm in ALGORITHMS[1:]:

@@ -182,14 +182,13 @@ class Run:
 
         None if it had to stop and save before, because of Ctrl-C or because `seconds` have passed.
         """
-        deadline = time.monotonic() + seconds
         self._write_config()
         state, done, spent = self._start()
         for name in ("metrics", "evaluations"):
             self._keep_rows(name, done * self.steps_per_iteration)
         collect, improve = self.seeds.jit(self.trainer.collect), self.seeds.jit(self.trainer.improve)
         total = self.iterations * self.steps_per_iteration * self.config.num_seeds
-        clock, stop, engine = Clock(spent), Stop(), self.env.engine
+        clock, stop, engine = Clock(spent), Stop(seconds), self.env.engine
         collecting = "policy" if engine.name == "mujoco" else "collect"  # others are part of the same program
         with (
             stop,
@@ -221,7 +220,7 @@ class Run:
                 if done in self.evaluate_at:
                     with clock("evaluation"):
                         self._evaluate(done, map(self.team, self.seeds.each(state)))
-                leave = done == self.iterations or stop.asked or time.monotonic() > deadline
+                leave = done == self.iterations or stop.asked
                 if leave or time.monotonic() - saved > CHECKPOINT_SECONDS:
                     self._save(state, done, clock)
                     saved = time.monotonic()
@@ -413,13 +412,18 @@ class Clock:
 
 
 class Stop:
-    """Turns the first Ctrl-C into a request to stop after this iteration; the second one interrupts."""
+    """Asks to stop after this iteration: at the first Ctrl-C (the second one interrupts), or after `seconds`."""
 
-    asked = False
+    def __init__(self, seconds: float = math.inf):
+        self._deadline = time.monotonic() + seconds
+
+    @property
+    def asked(self) -> bool:
+        return time.monotonic() > self._deadline
 
     def __enter__(self):
         def ask(*_):
-            self.asked = True
+            self._deadline = -math.inf
             signal.signal(signal.SIGINT, self._before)
 
         try:

@@ -132,12 +132,13 @@ class Sweep:
 
     # -- training ------------------------------------------------------------------------------
 
-    def run(self, side_by_side: int | None = None) -> list[dict[str, Any]] | None:
-        """Train what has not been trained; returns the ranking, or None if stopped by Ctrl-C.
+    def run(self, side_by_side: int | None = None, seconds: float = math.inf) -> list[dict[str, Any]] | None:
+        """Train what has not been trained; returns the ranking, or None if stopped by Ctrl-C or after `seconds`.
 
         Args:
           side_by_side: how many trials a program trains at once (default: on an accelerator as many as there are
             seeds, on a CPU one).
+          seconds: for how long, about.
         """
         if side_by_side is None:
             side_by_side = 1 if jax.default_backend() == "cpu" else len(self.seeds)
@@ -147,7 +148,7 @@ class Sweep:
         write_atomically(self.folder / "trials.jsonl", _lines(finished.values()))
         total = sum(map(self._steps, range(len(self.drawn)))) * len(self.seeds)
         initial = sum(row["steps"] for row in finished.values())
-        with Stop() as stop, tqdm(total=total, initial=initial, unit=" steps", unit_scale=True) as bar:
+        with Stop(seconds) as stop, tqdm(total=total, initial=initial, unit=" steps", unit_scale=True) as bar:
             for members in self._programs:
                 left = [(i, seed) for seed in self.seeds for i in members if (i, seed) not in finished]
                 programs: dict[int, Program] = {}
