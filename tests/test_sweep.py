@@ -197,7 +197,7 @@ class StopAfter:
         self.left -= 1
         return self.left < 0
 
-    def __call__(self):
+    def __call__(self, seconds):
         return self
 
     def __enter__(self):
