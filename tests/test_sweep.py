@@ -298,12 +298,12 @@ def test_folders_that_are_not_a_sweep_or_in_use_are_refused(begun, tmp_path):
 
 
 def test_outcomes_by_hand():
-    """Ten points, so that the last tenth is the last point; of its 4 episodes 3 succeeded."""
-    points = [[float(k), 0, 0.0] for k in range(9)] + [[19.0, 4, 3.0]]
+    """Twenty points, so that the last tenth is two; of the eight episodes that ended there four succeeded."""
+    points = [[float(k), 0, 0.0] for k in range(18)] + [[19.0, 4, 3.0], [21.0, 4, 1.0]]
     found = outcome(points, 100)
-    assert found["curve"][0] == [100, 0.0] and found["curve"][-1] == [1000, 19.0]
-    assert (found["auc"], found["final_return"], found["success"], found["failed"]) == (5.5, 19.0, 0.75, False)
-    assert outcome(points[:9], 100)["success"] is None  # no episode has ended
+    assert found["curve"][0] == [100, 0.0] and found["curve"][-1] == [2000, 21.0]
+    assert (found["auc"], found["final_return"], found["success"], found["failed"]) == (9.65, 20.0, 0.5, False)
+    assert outcome(points[:18], 100)["success"] is None  # no episode has ended
     assert outcome([[1.0, 2, math.nan]], 100)["success"] is None  # a task without success
     failed = outcome([[1.0, 0, 0.0], [math.nan, 0, 0.0], [2.0, 0, 0.0]], 100)
     assert failed == {"curve": [[100, 1.0]], "auc": None, "final_return": None, "success": None, "failed": True}

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from assistax.figures import COLOURS, STYLE
 from assistax.learning.search import Search, choices, intervals
@@ -56,7 +57,9 @@ def _scatter(axis: Axes, shown: Sequence[dict], best: Sequence[dict], name: str,
     """A dot per configuration, a cross if it failed with some seed, a ring around the best."""
     interval, values = intervals(search).get(name), choices(search).get(name, ())
     if interval:
-        axis.set(xscale="log" if interval.log else "linear", xlim=(interval.low, interval.high))
+        decades = interval.log and interval.high >= 10 * interval.low
+        axis.set(xscale="log" if decades else "linear", xlim=(interval.low, interval.high))
+        axis.xaxis.set_minor_formatter(NullFormatter())
     else:
         axis.set_xticks(range(len(values)), list(map(str, values)))
         axis.set_xlim(-0.5, len(values) - 0.5)
@@ -66,7 +69,8 @@ def _scatter(axis: Axes, shown: Sequence[dict], best: Sequence[dict], name: str,
         return value if interval else values.index(value) + 0.25 * math.sin(entry["config"])  # beside each other
 
     def plot(entries, marker, **style):
-        axis.plot([x(entry) for entry in entries], [entry["auc"] for entry in entries], marker, **style)
+        areas = [entry["auc"] for entry in entries]
+        axis.plot([x(entry) for entry in entries], areas, marker, clip_on=False, **style)
 
     plot([entry for entry in shown if not entry["failed"]], "o", color=COLOURS[0], ms=4, alpha=0.7)
     plot([entry for entry in shown if entry["failed"]], "x", color=COLOURS[0], ms=4)
