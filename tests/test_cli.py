@@ -134,7 +134,7 @@ def test_an_interrupted_run_goes_on(how, tmp_path):
         (["train", "--resume", "nowhere"], "not a run folder"),
         (["train", "--resume", "x", "--seed", "3"], "leave out seed"),
         (["evaluate", "scratch"], "--policy"),
-        (["evaluate", "nowhere"], "neither a run folder nor a task"),
+        (["evaluate", "nowhere"], "neither a run folder, nor a team file, nor a task"),
         (["evaluate", "scratch", "--policy", "stil"], "Did you mean 'still'"),
         (["render", "scratch", "--policy", "still", "--out", "no/such/a.mp4"], "does not exist"),
         (["render", "scratch", "--policy", "still", "--out", "a.gif"], "Can write .mp4, .webp, .png"),

@@ -1,5 +1,6 @@
 """Sweeps: what is drawn, that a trial is the ordinary run with its settings, and what interruptions leave behind."""
 
+import io
 import json
 import math
 from functools import cache
@@ -353,5 +354,9 @@ def test_pictures_show_every_configuration_where_it_belongs(tmp_path):
         for x, y in everything
         if (drawn[int(y)]["ppo.update_epochs"], drawn[int(y)]["ppo.num_minibatches"]) == (4, 2)
     ]
+    for nothing in ([], rank([row(0, 0, None) | {"settings": drawn[0]}])):
+        for figure in (overview(nothing, search, "title"), facets(nothing, search, "ppo.learning_rate", "title")):
+            figure.savefig(io.BytesIO())
+            assert not any(axis.lines for axis in figure.axes)
     alone = facets(ranking, {"ppo.learning_rate": "1e-3:1e-1"}, "ppo.learning_rate", "title")
     assert len(alone.axes) == 1 and dots(alone.axes[0]) == everything

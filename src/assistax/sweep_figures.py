@@ -1,6 +1,5 @@
 """Pictures of a sweep: the area under the return curve against hyperparameters, as in the paper's appendix."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -38,7 +37,7 @@ def facets(ranking: Sequence[dict], search: Search, name: str, title: str) -> Fi
             chosen = [one for one in (down[i], across[j]) if one]
             shown = [entry for entry in ranking if all(entry["settings"][factor] == v for factor, v in chosen)]
             _scatter(axis, shown, ranking[:1], name, search)
-            axis.set_title(", ".join(f"{v} {_label(factor)}" for factor, v in chosen) or "all")
+            axis.set_title("\n".join(f"{_label(factor)} {v}" for factor, v in chosen) or "all")
         for axis in axes[-1]:
             axis.set_xlabel(_label(name))
     return figure
@@ -66,11 +65,12 @@ def _scatter(axis: Axes, shown: Sequence[dict], best: Sequence[dict], name: str,
 
     def x(entry):
         value = entry["settings"][name]
-        return value if interval else values.index(value) + 0.25 * math.sin(entry["config"])  # beside each other
+        aside = (0.618 * entry["config"]) % 1.0 - 0.5  # so that dots do not hide each other
+        return value if interval else values.index(value) + 0.5 * aside
 
     def plot(entries, marker, **style):
-        areas = [entry["auc"] for entry in entries]
-        axis.plot([x(entry) for entry in entries], areas, marker, clip_on=False, **style)
+        if dots := [(x(entry), entry["auc"]) for entry in entries if entry["auc"] is not None]:
+            axis.plot(*zip(*dots, strict=True), marker, clip_on=False, **style)
 
     plot([entry for entry in shown if not entry["failed"]], "o", color=COLOURS[0], ms=4, alpha=0.7)
     plot([entry for entry in shown if entry["failed"]], "x", color=COLOURS[0], ms=4)
