@@ -1,8 +1,8 @@
 """Pages of the documentation that are measured, not typed:
 
-python -m assistax.reference measure > experts.json && mv experts.json results/
-python -m assistax.reference experts > docs/experts.md
-python -m assistax.reference speed > docs/speed.md
+python -m assistax.reference measure   # results/experts.json, some minutes
+python -m assistax.reference experts   # docs/experts.md, from it
+python -m assistax.reference speed     # docs/speed.md, from results/bench
 """
 
 import json
@@ -19,6 +19,7 @@ from assistax.errors import choose
 from assistax.evaluation import evaluate, play, summarize
 from assistax.experts import BOUNDS
 from assistax.human import DISABILITIES
+from assistax.learning.checkpoint import write_atomically
 from assistax.policies import scripted_team
 from assistax.stamp import commit
 
@@ -27,7 +28,7 @@ EXPERTS_PAGE = """# Scripted policies
 
 Each task has a scripted robot, the expert, that knows the whole simulator state (`src/assistax/experts.py`).
 All numbers are over {episodes} episodes on the evaluation seeds; the person is still unless said otherwise. This page
-is written by `python -m assistax.reference experts > docs/experts.md` from `results/experts.json`.
+is written by `python -m assistax.reference experts` from `results/experts.json`.
 
 ## Expert
 
@@ -126,7 +127,7 @@ SPEED_PAGE = """# Speed
 
 Open loop, everything included (observations, rewards, auto-reset, random actions), {num_envs} environments, the
 `{engine}` engine on {hardware}; `assistax bench TASK --train --json` at commit {commit}. Written from
-`results/bench/*.json` by `python -m assistax.reference speed > docs/speed.md`.
+`results/bench/*.json` by `python -m assistax.reference speed`.
 
 {ours}
 
@@ -172,15 +173,14 @@ def speed(folder: Path) -> str:
     )
 
 
-def main(page: str) -> str:
-    match choose("page", page, ["measure", "experts", "speed"]):
-        case "measure":
-            return json.dumps(measure(), indent=1) + "\n"
-        case "experts":
-            return experts(read_references())
-        case _:
-            return speed(Path("results/bench"))
-
+# By name where each goes and what makes it.
+PAGES = {
+    "measure": (Path("results/experts.json"), lambda: json.dumps(measure(), indent=1) + "\n"),
+    "experts": (Path("docs/experts.md"), lambda: experts(read_references())),
+    "speed": (Path("docs/speed.md"), lambda: speed(Path("results/bench"))),
+}
 
 if __name__ == "__main__":
-    print(main(sys.argv[-1]), end="")
+    place, make_page = PAGES[choose("page", sys.argv[-1], PAGES)]
+    write_atomically(place, make_page().encode())
+    print(f"wrote {place}")
