@@ -1,5 +1,10 @@
 """Shared by all tests."""
 
+import os
+
+# Nearly all of the suite's time is compiling; what is compiled runs for milliseconds. Before JAX is imported.
+os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
+
 import jax
 import pytest
 

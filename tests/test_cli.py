@@ -7,22 +7,37 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import save_file
+
+from assistax import cli
 
 SMALL = ["--num-envs", "8", "--set", "ppo.num_steps=8", "ppo.num_minibatches=2", "ppo.update_epochs=1"]
-SMALL += ["env.episode_length=16", "ppo.hidden=(8,8)"]
+SMALL += ["env.episode_length=16", "ppo.hidden=(8,8)", "evaluations=2", "evaluation_episodes=4"]
 
 
-def assistax(*args, check=True, cwd=None):
+def assistax(*args):
     command = [sys.executable, "-m", "assistax.cli", *map(str, args)]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, check=False, timeout=300)
-    if check:
-        assert done.returncode == 0, done.stderr
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
     return done
+
+
+@pytest.fixture
+def refused(monkeypatch, capsys):
+    """Give the command line something bad, without a process of its own; the one line that it answers."""
+
+    def call(*args):
+        monkeypatch.setattr(sys, "argv", ["assistax", *map(str, args)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        lines = capsys.readouterr().err.strip().splitlines()
+        assert end.value.code == 2 and len(lines) == 1 and lines[0].startswith("assistax: ")
+        return lines[0]
+
+    return call
 
 
 @pytest.fixture(scope="module")
@@ -57,22 +72,6 @@ def test_evaluate_as_json(run):
     assert low <= report["mean_return"] <= high
 
 
-def test_resume_equals_uninterrupted_training_to_the_bit(run, tmp_path):
-    part = tmp_path / "part"
-    assistax("train", "scratch", "--steps", 320, "--out", part, *SMALL)
-    assistax("train", "--resume", part, "--steps", 640)
-    resumed, whole = load_file(checkpoint(part)), load_file(checkpoint(run))
-    assert set(resumed) == set(whole) and len(whole) > 50
-    for name, value in whole.items():
-        np.testing.assert_array_equal(resumed[name], value, err_msg=name)
-
-    def numbers(folder):
-        rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
-        return [{k: v for k, v in row.items() if k != "seconds"} for row in rows]
-
-    assert numbers(part) == numbers(run)
-
-
 def test_several_seeds_are_the_runs_of_each_seed_alone(run, tmp_path):
     both = tmp_path / "both"
     assistax("train", "scratch", "--steps", 128, "--num-seeds", 2, "--out", both, *SMALL)
@@ -83,36 +82,19 @@ def test_several_seeds_are_the_runs_of_each_seed_alone(run, tmp_path):
     assert rows[0]["reward"] != rows[1]["reward"]
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
-def test_an_interrupted_run_goes_on(how, tmp_path):
+def test_an_interrupted_run_goes_on(tmp_path):
     folder = tmp_path / "run"
-    command = [
-        sys.executable,
-        "-m",
-        "assistax.cli",
-        "train",
-        "scratch",
-        "--steps",
-        "10000000",
-        "--out",
-        folder,
-    ]
-    process = subprocess.Popen([*map(str, command), *SMALL], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    command = [sys.executable, "-m", "assistax.cli", "train", "scratch", "--steps", "10000000", "--out", folder, *SMALL]
+    process = subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     metrics = folder / "metrics.jsonl"
     deadline = time.monotonic() + 120
     while not (metrics.exists() and metrics.stat().st_size > 3000):
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.1)
-    process.send_signal(how)
+    process.send_signal(signal.SIGINT)
     _, errors = process.communicate(timeout=60)
-    if how == signal.SIGINT:
-        assert process.returncode == 130
-        assert f"--resume {folder}" in errors
-        done = int(checkpoint(folder).stem.split("_")[1])
-    else:
-        with open(metrics, "a") as file:
-            file.write('{"steps": 999')  # a line that the kill tore
-        done = 0
+    assert process.returncode == 130 and f"--resume {folder}" in errors
+    done = int(checkpoint(folder).stem.split("_")[1])
     assistax("train", "--resume", folder, "--steps", done + 128)
     rows = [json.loads(line) for line in metrics.read_text().splitlines()]
     assert [row["steps"] for row in rows] == list(range(64, done + 129, 64))
@@ -141,30 +123,26 @@ def test_an_interrupted_run_goes_on(how, tmp_path):
         (["bench", "scratch", "--num-envs", "0"], "num_envs must be 1 or more"),
     ],
 )
-def test_bad_input_is_one_line_and_leaves_nothing_behind(args, words, tmp_path):
-    done = assistax(*args, check=False, cwd=tmp_path)
-    assert done.returncode == 2
-    lines = done.stderr.strip().splitlines()
-    assert len(lines) == 1 and lines[0].startswith("assistax: ") and words in lines[0]
+def test_bad_input_is_one_line_and_leaves_nothing_behind(args, words, refused, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert words in refused(*args)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_used_folder_is_not_overwritten(run):
+def test_a_used_folder_is_not_overwritten(run, refused):
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
-    done = assistax("train", "scratch", "--out", run, *SMALL, check=False)
-    assert done.returncode == 2 and "already in use" in done.stderr
+    assert "already in use" in refused("train", "scratch", "--out", run, *SMALL)
     assert before == {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_an_unwritable_folder_is_one_line(tmp_path):
+def test_an_unwritable_folder_is_one_line(refused, tmp_path):
     tmp_path.chmod(0o500)
-    done = assistax("train", "scratch", "--out", tmp_path / "x", check=False)
-    assert done.returncode == 2 and "Cannot write" in done.stderr
+    assert "Cannot write" in refused("train", "scratch", "--out", tmp_path / "x")
 
 
 @pytest.mark.parametrize("damage", ["cut", "foreign", "other shape"])
-def test_a_bad_checkpoint_is_one_line(run, tmp_path, damage):
+def test_a_bad_checkpoint_is_one_line(run, refused, tmp_path, damage):
     copy = tmp_path / "copy"
     shutil.copytree(run, copy)
     path = checkpoint(copy)
@@ -176,9 +154,7 @@ def test_a_bad_checkpoint_is_one_line(run, tmp_path, damage):
         config = json.loads((copy / "config.json").read_text())
         config["ppo"]["hidden"] = [16, 16]
         (copy / "config.json").write_text(json.dumps(config))
-    done = assistax("evaluate", copy, check=False)
-    assert done.returncode == 2
-    assert len(done.stderr.strip().splitlines()) == 1 and Path(path).name in done.stderr
+    assert path.name in refused("evaluate", copy)
 
 
 def test_tasks_doctor_and_bench_answer(tmp_path):

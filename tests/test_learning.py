@@ -1,7 +1,7 @@
 """PPO and its parts, against numbers worked by hand, loops in NumPy and games whose optimum is known."""
 
 import time
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
@@ -79,17 +79,16 @@ def trained(game, iterations, num_envs=64, **settings):
     """(trainer, state, stats, the last batch) after some iterations."""
     ppo = PPO(game, PPOConfig(**settings), num_envs, iterations)
     collect, improve = jax.jit(ppo.collect), jax.jit(ppo.improve)
-    state, stats, batch = ppo.init(jax.random.key(0)), {}, {}
+    state, stats, batch = jax.jit(ppo.init)(jax.random.key(0)), {}, {}
     for _ in range(iterations):
         state, batch = collect(state)
         state, stats = improve(state, batch)
     return ppo, state, stats, batch
 
 
-@pytest.mark.parametrize("variant", [{}, {"central_critic": True}, {"share_parameters": True}], ids=str)
-def test_ppo_solves_a_game_with_a_known_optimum_to_two_percent(variant):
+def test_ppo_solves_a_game_with_a_known_optimum_to_two_percent():
     quick = {"num_steps": 16, "num_minibatches": 4, "hidden": (32, 32), "entropy_coef": 0.0, "gamma": 0.9}
-    ppo, state, *_ = trained(Meeting(), 120, learning_rate=3e-3, **quick, **variant)
+    ppo, state, *_ = trained(Meeting(), 120, learning_rate=3e-3, **quick)
     policy, params = ppo.policy(), ppo.policy_params(state)
     for c in (-1.0, 1.0):
         game_state = {"c": jnp.float32(c), "t": jnp.int32(2), "return": jnp.float32(0)}
@@ -105,7 +104,7 @@ def test_a_central_critic_helps_where_luck_hides_what_was_achieved():
     for central in (False, True):
         ppo = PPO(Weather(), PPOConfig(central_critic=central, **quick), 16, 40)
         step = jax.jit(jax.vmap(lambda state, ppo=ppo: ppo.improve(*ppo.collect(state))))
-        state, stats = jax.vmap(ppo.init)(jax.random.split(jax.random.key(0), 4)), {}
+        state, stats = jax.jit(jax.vmap(ppo.init))(jax.random.split(jax.random.key(0), 4)), {}
         for _ in range(40):
             state, stats = step(state)
         params, policy = jax.vmap(ppo.policy_params)(state), ppo.policy()
@@ -181,22 +180,30 @@ def test_the_gradient_of_a_gru_is_that_of_a_plain_loop():
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-4, atol=1e-5), found, expected)
 
 
-VARIANTS = [
-    {"recurrent": r, "central_critic": c, "share_parameters": s}
-    for r, c, s in [(False, False, False), (True, False, False), (True, True, False), (False, True, True)]
-] + [{"recurrent": True, "share_parameters": True}]
+variants = pytest.mark.parametrize(
+    "variant",
+    [("recurrent", "central_critic"), ("central_critic", "share_parameters"), ("recurrent", "share_parameters")],
+    ids="+".join,
+)
 
 
-@pytest.mark.parametrize("variant", VARIANTS, ids=lambda v: "+".join(k for k in v if v[k]) or "plain")
+@cache
+def third_rollout(variant):
+    """(trainer, the state before it, the state after it, batch) of a small game with ends of both kinds inside."""
+    settings = {"num_steps": 12, "num_minibatches": 2, "update_epochs": 2, "hidden": (8, 8)}
+    ppo, state, *_ = trained(Meeting(ending=0.2), 2, 4, **settings, **dict.fromkeys(variant, True))
+    return ppo, state, *jax.jit(ppo.collect)(state)
+
+
+@variants
 def test_samples_are_what_a_step_by_step_loop_computes(variant):
-    """Log-probabilities, values and advantages of the third rollout, with ends of both kinds inside.
+    """Log-probabilities, values and advantages of a rollout.
 
     The loop knows nothing of batches: every environment by itself, in float64, with the padded and
     labelled inputs that a shared network is defined by.
     """
-    game, agents = Meeting(ending=0.2), Meeting.agents
-    ppo, state, *_ = trained(game, 2, 4, num_steps=12, num_minibatches=2, update_epochs=2, hidden=(8, 8), **variant)
-    state, batch = jax.jit(ppo.collect)(state)
+    ppo, _, state, batch = third_rollout(variant)
+    game, agents = ppo.env, ppo.env.agents
     samples = jax.jit(ppo._samples)(state, batch)
     reset, done = np.asarray(batch["reset"]), np.asarray(batch["done"])
     terminated = np.asarray(batch["terminated"])
@@ -245,15 +252,15 @@ def test_samples_are_what_a_step_by_step_loop_computes(variant):
 
 
 @pytest.mark.parametrize("recurrent", [False, True])
-def test_improve_starts_from_the_rollouts_own_numbers(scratch, recurrent):
+def test_improve_starts_from_the_rollouts_own_numbers(recurrent):
     """With one epoch and a vanishing step, no log-probability and no value may move."""
     config = PPOConfig(num_steps=30, num_minibatches=2, update_epochs=1, learning_rate=1e-9, recurrent=recurrent)
-    ppo = PPO(scratch, config, num_envs=4, total_iterations=1)
-    state, stats = ppo.init(jax.random.key(0)), {}
+    ppo = PPO(Meeting(ending=0.2), config, num_envs=4, total_iterations=1)
+    state, stats = jax.jit(ppo.init)(jax.random.key(0)), {}
     step = jax.jit(lambda state: ppo.improve(*ppo.collect(state)))
     for _ in range(3):
         state, stats = step(state)
-    for agent in scratch.agents:
+    for agent in Meeting.agents:
         assert float(stats[agent]["approx_kl"]) < 1e-6
         assert float(stats[agent]["clip_fraction"]) == 0.0
         assert float(stats[agent]["value_change"]) < 1e-5
@@ -264,19 +271,21 @@ def test_the_first_batch_is_seen_with_its_own_statistics_later_ones_with_the_rol
     counts, samples = [], ppo._samples
 
     def spy(state, batch):
-        counts.append(int(state.normalizer["human"].count))
+        jax.debug.callback(lambda count: counts.append(int(count)), state.normalizer["human"].count)
         return samples(state, batch)
 
     monkeypatch.setattr(ppo, "_samples", spy)
-    state = ppo.init(jax.random.key(0))
+    state, step = jax.jit(ppo.init)(jax.random.key(0)), jax.jit(lambda state: ppo.improve(*ppo.collect(state))[0])
     for _ in range(3):
-        state, _ = ppo.improve(*ppo.collect(state))
+        state = step(state)
+    jax.effects_barrier()
     assert counts == [32, 32, 64] and int(state.normalizer["human"].count) == 96
 
 
 def test_a_shared_network_has_no_dummy_dimensions():
     """Entropy and log-probability of the human, who has one action, know nothing of the robot's second."""
-    ppo, state, *_ = trained(Meeting(), 1, 4, num_steps=8, num_minibatches=1, share_parameters=True)
+    ppo = PPO(Meeting(), PPOConfig(num_steps=8, num_minibatches=1, share_parameters=True), 4, 1)
+    state = jax.jit(ppo.init)(jax.random.key(0))
     assert set(state.params) == {"shared"} and state.params["shared"]["actor"]["log_std"].shape == (2,)
     human, robot = (ppo.policy_params(state)[a]["actor"] for a in ("human", "robot"))
     assert human["log_std"].shape == (1,) and robot["log_std"].shape == (2,)
@@ -286,22 +295,20 @@ def test_a_shared_network_has_no_dummy_dimensions():
 # -- seats ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("variant", [{}, {"recurrent": True}, {"share_parameters": True}], ids=str)
+@variants
 def test_a_frozen_actor_acts_exactly_as_in_the_run_that_trained_it(variant):
     """Played again on what it saw: the log-probabilities of the run's own actions come out."""
-    ppo, state, *_ = trained(Meeting(ending=0.2), 2, 8, num_steps=12, num_minibatches=2, hidden=(8, 8), **variant)
+    ppo, state, _, batch = third_rollout(variant)
     before = ppo.policy_params(state)
-    _, batch = jax.jit(ppo.collect)(state)
     # Two members: the second is the one that played, the first somebody else.
     stacked = jax.tree.map(lambda x: jnp.stack([x + 1.0, x]), before["human"])
-    seats = Seats(ppo.env, 8, {"human": Partner(ppo.policy(), stacked, 2)})
-    seated = seats.init(jax.random.key(0))
-    carry = state.memory["human"]
-    seated = {"human": {"index": jnp.ones(8, jnp.int32), "carry": carry}}
+    seats = Seats(ppo.env, 4, {"human": Partner(ppo.policy(), stacked, 2)})
+    act = jax.jit(lambda seated, obs, reset, key: seats.act(seated, None, obs, reset, key))
+    seated = {"human": {"index": jnp.ones(4, jnp.int32), "carry": state.memory["human"]}}
     assert np.asarray(batch["reset"])[1:].any()
     for t in range(12):
         obs = {a: x[t] for a, x in batch["obs"].items()}
-        actions, seated = seats.act(seated, None, obs, batch["reset"][t], jax.random.key(t))
+        actions, seated = act(seated, obs, batch["reset"][t], jax.random.key(t))
         log_std = before["human"]["actor"]["log_std"]
         log_prob = gaussian_log_prob(batch["actions"]["human"][t], actions["human"], log_std)
         np.testing.assert_allclose(log_prob, batch["log_probs"]["human"][t], atol=1e-5)
@@ -321,7 +328,7 @@ def test_a_seat_that_does_not_learn_is_left_alone():
     constants = jnp.array([[0.1], [0.2], [0.3]])
     partners = {"human": Partner(Constant(), constants, 3)}
     ppo = PPO(Meeting(), PPOConfig(num_steps=20, num_minibatches=2, hidden=(8,)), 64, 3, partners)
-    state = ppo.init(jax.random.key(0))
+    state = jax.jit(ppo.init)(jax.random.key(0))
     assert set(state.params) == set(state.normalizer) == {"robot"}
     first = np.asarray(state.seated["human"]["index"])
     state, batch = jax.jit(ppo.collect)(state)
@@ -411,9 +418,9 @@ def test_resume_equals_uninterrupted_to_the_bit_with_memory_and_partners(scratch
 
 def test_only_whole_episodes_are_reported_when_starts_are_staggered():
     ppo = PPO(Meeting(), PPOConfig(num_steps=20, num_minibatches=1), num_envs=8, total_iterations=1)
-    state = ppo.init(jax.random.key(0))
+    state = jax.jit(ppo.init)(jax.random.key(0))
     assert len(set(np.asarray(state.env_state["t"]).tolist())) > 1
-    _, batch = ppo.collect(state)
+    _, batch = jax.jit(ppo.collect)(state)
     # 20 steps of 8 environments; the cut-short first episodes end in steps 1 to 5, three whole ones follow.
     reported = int(batch["log"]["episodes"])
     whole = 8 * 20 // 5 - sum(5 - t < 5 for t in np.asarray(state.env_state["t"]))
