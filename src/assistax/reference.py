@@ -3,6 +3,7 @@
 python -m assistax.reference measure   # results/experts.json, some minutes
 python -m assistax.reference experts   # docs/experts.md, from it
 python -m assistax.reference speed     # docs/speed.md, from results/bench
+python -m assistax.reference results   # docs/results.md and its curves, from results/
 """
 
 import json
@@ -13,14 +14,16 @@ from typing import Any
 import jax
 import numpy as np
 
-from assistax.comparison import read_references
+from assistax.comparison import read_references, report, tables
 from assistax.env import make
 from assistax.errors import choose
 from assistax.evaluation import evaluate, play, summarize
 from assistax.experts import BOUNDS
+from assistax.figures import learning_curves
 from assistax.human import DISABILITIES
 from assistax.learning.checkpoint import write_atomically
 from assistax.policies import scripted_team
+from assistax.results import experiments, find_runs
 from assistax.stamp import commit
 
 EPISODES = 64
@@ -173,11 +176,38 @@ def speed(folder: Path) -> str:
     )
 
 
+RESULTS_PAGE = """# Trained teams
+
+Returns and success over the evaluation seeds at the end of training, deterministic, with 95 % intervals over training
+seeds; a row with one seed has none. Written from `results/` by `python -m assistax.reference results`;
+[results/README.md](../results/README.md) tells what these teams do.
+
+{tables}
+
+{remarks}
+
+![Learning curves](images/learning_curves.png)
+"""
+
+
+def results(folder: Path, curves: Path) -> str:
+    """The page of the trained teams; their learning curves go to the picture `curves`."""
+    found, references = experiments(find_runs((folder,))), read_references()
+    said = report(found, references, compare=False)
+    learning_curves(found, references).savefig(curves)
+    text = "\n\n".join(markdown(*each) for each in tables(said))
+    return RESULTS_PAGE.format(tables=text, remarks="\n".join(f"- {remark}" for remark in said["remarks"]))
+
+
 # By name where each goes and what makes it.
 PAGES = {
     "measure": (Path("results/experts.json"), lambda: json.dumps(measure(), indent=1) + "\n"),
     "experts": (Path("docs/experts.md"), lambda: experts(read_references())),
     "speed": (Path("docs/speed.md"), lambda: speed(Path("results/bench"))),
+    "results": (
+        Path("docs/results.md"),
+        lambda: results(Path("results"), Path("docs/images/learning_curves.png")),
+    ),
 }
 
 if __name__ == "__main__":

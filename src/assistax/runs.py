@@ -30,7 +30,7 @@ from assistax.evaluation import Player, by_episode, summarize, typical
 from assistax.figures import learning_curve
 from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
 from assistax.learning.ppo import PPO, PPOConfig
-from assistax.learning.presets import ALGORITHMS, preset
+from assistax.learning.presets import ALGORITHMS, num_envs, preset
 from assistax.learning.sac import SAC, SACConfig
 from assistax.learning.seats import Partner
 from assistax.learning.seeds import Seeds
@@ -43,12 +43,12 @@ from assistax.viewing import film
 
 DEFAULT_STEPS = 3_000_000
 CHECKPOINT_SECONDS = 60.0
-# By algorithm its trainer, the group of its settings in TrainConfig, and how many environments it plays unless told.
+# By algorithm its trainer and the group of its settings in TrainConfig.
 TRAINERS = {
-    "ippo": (PPO, "ppo", 1024),
-    "mappo": (PPO, "ppo", 1024),
-    "masac": (SAC, "sac", 256),
-    "isac": (SAC, "sac", 256),
+    "ippo": (PPO, "ppo"),
+    "mappo": (PPO, "ppo"),
+    "masac": (SAC, "sac"),
+    "isac": (SAC, "sac"),
 }
 
 
@@ -91,16 +91,20 @@ def configure(task: str, settings: dict[str, Any], recurrent=False, share_parame
     cls = task_class(task)
     given = {name: value for name, value in choices.items() if value is not None}
     algorithm = choose("algorithm", given.get("algorithm", "ippo"), TRAINERS)
-    _, group, num_envs = TRAINERS[algorithm]
+    _, group = TRAINERS[algorithm]
     if foreign := [name for name in settings if name.split(".")[0] in {"ppo", "sac"} - {group}]:
         raise UsageError(f"{foreign[0]} does not exist for {algorithm}; its settings are {group}.*.")
     if group == "sac" and (recurrent or share_parameters):
         raise UsageError("--recurrent and --share-parameters exist for ippo and mappo only.")
     recurrent = recurrent or settings.get("ppo.recurrent") is True
     switches = {"recurrent": recurrent, "share_parameters": share_parameters} if group == "ppo" else {}
-    row = preset(given.get("preset", "default"), algorithm, task, recurrent)
+    name = given.get("preset", "default")
+    row = preset(name, algorithm, task, recurrent)
     groups = {"ppo": PPOConfig(), "sac": SACConfig()}
-    fields: dict[str, Any] = {"num_envs": num_envs, group: with_settings(groups[group], row | switches)} | given
+    fields: dict[str, Any] = {
+        "num_envs": num_envs(name, algorithm, recurrent),
+        group: with_settings(groups[group], row | switches),
+    } | given
     config = TrainConfig(task, task_config=cls.config_type(), **fields)
     resolve_engine(config.engine)
     return with_settings(config, settings)
