@@ -2,13 +2,16 @@
 
 import os
 
-# Nearly all of the suite's time is compiling; what is compiled runs for milliseconds. Before JAX is imported.
-os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
-
 import jax
 import pytest
 
 import assistax
+
+
+def pytest_configure(config):
+    """Before JAX first compiles: most of the suite's time is compiling what then runs for milliseconds."""
+    if config.option.markexpr == "not slow":
+        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
 
 
 @pytest.fixture(scope="session")

@@ -187,6 +187,8 @@ seeds; a row with one seed has none. Written from `results/` by `python -m assis
 {remarks}
 
 ![Learning curves](images/learning_curves.png)
+
+The curves are of those that were evaluated while they trained, too.
 """
 
 
@@ -194,7 +196,8 @@ def results(folder: Path, curves: Path) -> str:
     """The page of the trained teams; their learning curves go to the picture `curves`."""
     found, references = experiments(find_runs((folder,))), read_references()
     said = report(found, references, compare=False)
-    learning_curves(found, references).savefig(curves)
+    evaluated = [e for e in found if all(run.rows("evaluations") for run in e.runs)]
+    learning_curves(evaluated, references, source="evaluation").savefig(curves)
     text = "\n\n".join(markdown(*each) for each in tables(said))
     return RESULTS_PAGE.format(tables=text, remarks="\n".join(f"- {remark}" for remark in said["remarks"]))
 
