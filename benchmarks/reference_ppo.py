@@ -239,7 +239,7 @@ def compare(
     task: Task = "scratch",
     *,
     steps: int = 2_000_000,
-    num_envs: int = 1024,
+    num_envs: int | None = None,
     seed: int = 0,
     num_seeds: int = 3,
     preset: str = "default",
@@ -254,13 +254,14 @@ def compare(
     Args:
       task: `assistax tasks` lists them.
       steps: environment steps of each training; rounded up to whole iterations.
-      num_envs: environments side by side, of the first two rows.
+      num_envs: environments side by side, of the first two rows (default: the preset's).
       seed: first random seed.
       num_seeds: trainings per row.
       preset: of our settings.
       engine: auto, mujoco, warp or mjx.
       out: the result, written anew after each training; must not exist.
     """
+    num_envs = presets.num_envs(preset, "ippo") if num_envs is None else num_envs
     for name, value in {"steps": steps, "num-envs": num_envs, "num-seeds": num_seeds}.items():
         if value < 1:
             raise UsageError(f"--{name} must be 1 or more, not {value}.")

@@ -82,7 +82,7 @@ _PAPER = {
     "masac": _MASAC,
     "isac": _MASAC,  # not in the paper
 }
-# One row for all tasks. What it changes, and what that is worth, is in results/README.md:
+# One row for all tasks; results/README.md tells what it is worth.
 _OURS = {
     "learning_rate": 3.34e-4,
     "update_epochs": 4,  # 8 and 16 take longer than the physics
