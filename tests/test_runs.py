@@ -83,6 +83,18 @@ def test_a_checkpoint_of_something_else_is_refused_and_kept(tmp_path):
         assert path.read_bytes() == before and not list(run.folder.glob("*.part"))
 
 
+def test_a_result_without_checkpoints_is_not_overwritten(tmp_path):
+    run = Run.create(small(), tmp_path / "run")
+    (run.folder / "checkpoints").rmdir()  # as in results/
+    (run.folder / "evaluations.jsonl").write_text('{"steps": 64}\n')
+    files = {path: path.read_bytes() for path in run.folder.iterdir()}
+    again = Run.open(run.folder, steps=10**6)
+    for use in (again.train, again.teams):
+        with pytest.raises(UsageError, match="checkpoint"):
+            use()
+    assert {path: path.read_bytes() for path in run.folder.iterdir()} == files
+
+
 @pytest.fixture(scope="module")
 def evaluated(tmp_path_factory):
     """A finished run of two seeds, five iterations, four evaluations of three episodes."""

@@ -186,6 +186,8 @@ class Run:
 
         None if it had to stop and save before, because of Ctrl-C or because `seconds` have passed.
         """
+        if not (self.folder / "checkpoints").is_dir():
+            raise UsageError(f"{self.folder} is a result without checkpoints, which cannot go on; train anew with --out.")
         self._write_config()
         state, done, spent = self._start()
         for name in ("metrics", "evaluations"):
