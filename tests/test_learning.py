@@ -209,6 +209,7 @@ def test_samples_are_what_a_step_by_step_loop_computes(variant):
     terminated = np.asarray(batch["terminated"])
     assert (done[:-1] & ~terminated[:-1]).any() and terminated[:-1].any() and (reset[1:] == done[:-1]).all()
     c = ppo.config
+    scale = max(1 - c.gamma, 1 / game.episode_length)
 
     def seen(view, x):
         return np.asarray(normalize(state.normalizer[view], x))
@@ -245,7 +246,7 @@ def test_samples_are_what_a_step_by_step_loop_computes(variant):
             advantage, expected = 0.0, np.zeros(12)
             for t in reversed(range(12)):
                 to_come = 0.0 if terminated[t, i] else c.gamma * following[t]
-                delta = float(batch["rewards"][agent][t, i]) + to_come - values[t]
+                delta = scale * float(batch["rewards"][agent][t, i]) + to_come - values[t]
                 advantage = delta + (0.0 if done[t, i] else c.gamma * c.gae_lambda * advantage)
                 expected[t] = advantage
             np.testing.assert_allclose(samples[agent]["advantage"][:, i], expected, atol=1e-4)
