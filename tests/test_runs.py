@@ -15,8 +15,9 @@ import pytest
 from safetensors.numpy import load_file
 
 from assistax.errors import UsageError
-from assistax.runs import Run, configure, find_partner
+from assistax.runs import Run, find_partner
 from assistax.team_file import load_team, save_team
+from assistax.train_config import configure
 
 SMALL = {"ppo.num_steps": 8, "ppo.num_minibatches": 2, "ppo.update_epochs": 1, "ppo.hidden": (8, 8)}
 SMALL |= {"env.episode_length": 16}

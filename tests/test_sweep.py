@@ -18,9 +18,10 @@ from assistax.config import with_settings
 from assistax.errors import UsageError
 from assistax.learning.presets import PRESETS
 from assistax.learning.search import SEARCH, choices, draw, intervals
-from assistax.runs import TRAINERS, Run, configure
+from assistax.runs import Run
 from assistax.sweep import Program, Sweep, outcome, rank
 from assistax.sweep_figures import facets, overview
+from assistax.train_config import TRAINERS, configure
 
 ENVS, STEPS = 8, 5 * 8 * 10  # five iterations
 SMALL = {"ppo.hidden": (8,), "ppo.num_steps": 10, "ppo.update_epochs": 2, "ppo.num_minibatches": 2}

@@ -70,7 +70,8 @@ class Training:
         return min(1.0, max(saved, default=0) / self.steps)
 
     def advance(self, work: Path, seconds: float) -> list[Path] | None:
-        from assistax.runs import Run, configure
+        from assistax.runs import Run
+        from assistax.train_config import configure
 
         if (work / "config.json").exists():
             run = Run.open(work)
@@ -130,8 +131,8 @@ class Sweeping:
 
     def advance(self, work: Path, seconds: float) -> list[Path] | None:
         from assistax.learning.search import SEARCH
-        from assistax.runs import configure
         from assistax.sweep import Sweep
+        from assistax.train_config import configure
 
         if (work / "sweep.json").exists():
             sweep = Sweep.open(work)

@@ -10,11 +10,9 @@ learning_curve.png    summary.json    rollout.mp4
 import dataclasses
 import json
 import math
-import signal
 import sys
 import time
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -23,104 +21,23 @@ import jax
 import numpy as np
 from tqdm import tqdm
 
+from assistax.clock import Clock, Stop
 from assistax.config import with_settings
-from assistax.env import Env, EnvConfig
+from assistax.env import Env
 from assistax.errors import UsageError, choose
 from assistax.evaluation import Player, by_episode, summarize, typical
 from assistax.figures import learning_curve
 from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
-from assistax.learning.ppo import PPO, PPOConfig
-from assistax.learning.presets import ALGORITHMS, num_envs, preset
-from assistax.learning.sac import SAC, SACConfig
 from assistax.learning.seats import Partner
 from assistax.learning.seeds import Seeds
-from assistax.physics import check_faults, resolve_engine
+from assistax.physics import check_faults
 from assistax.policies import Drawn, Policy, Team, scripted_policy
 from assistax.results import read_rows
 from assistax.stamp import peak_memory_mb, stamp
-from assistax.tasks import task_class
+from assistax.train_config import TRAINERS, TrainConfig, stored_config, to_json
 from assistax.viewing import film
 
-DEFAULT_STEPS = 3_000_000
 CHECKPOINT_SECONDS = 60.0
-# By algorithm its trainer and the group of its settings in TrainConfig.
-TRAINERS = {
-    "ippo": (PPO, "ppo"),
-    "mappo": (PPO, "ppo"),
-    "masac": (SAC, "sac"),
-    "isac": (SAC, "sac"),
-}
-
-
-@dataclass(frozen=True)
-class TrainConfig:
-    task: str
-    algorithm: str = "ippo"
-    preset: str = "default"
-    engine: str = "auto"
-    steps: int = DEFAULT_STEPS  # per seed; rounded up to whole iterations
-    num_envs: int = 1024  # per seed
-    seed: int = 0
-    num_seeds: int = 1
-    partners: tuple[str, ...] = ()  # "human=still": seats that do not learn, and who plays them, see find_partner
-    evaluations: int = 10  # evenly over the training; the last is at its end and always made
-    evaluation_episodes: int = 64
-    deterministic: bool = True  # evaluate the mean action, not a sample
-    env: EnvConfig = field(default_factory=EnvConfig)
-    task_config: Any = None
-    ppo: PPOConfig = field(default_factory=PPOConfig)  # of ippo and mappo
-    sac: SACConfig = field(default_factory=SACConfig)  # of masac and isac
-
-    @property
-    def group(self) -> str:
-        """The name of the settings that the algorithm has."""
-        return TRAINERS[self.algorithm][1]
-
-    def __post_init__(self):
-        choose("algorithm", self.algorithm, TRAINERS)
-        for name, value in ALGORITHMS[self.algorithm].items():
-            if getattr(getattr(self, self.group), name) != value:
-                raise UsageError(f"{self.group}.{name} is {value} for {self.algorithm}; change --algorithm, not it.")
-        for name in ("steps", "num_envs", "num_seeds", "evaluation_episodes"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"{name} must be 1 or more, not {getattr(self, name)}.")
-
-
-def configure(task: str, settings: dict[str, Any], recurrent=False, share_parameters=False, **choices) -> TrainConfig:
-    """A TrainConfig from a task's preset, then `choices` (fields), then `settings` ("ppo.gamma": 0.98)."""
-    cls = task_class(task)
-    given = {name: value for name, value in choices.items() if value is not None}
-    algorithm = choose("algorithm", given.get("algorithm", "ippo"), TRAINERS)
-    _, group = TRAINERS[algorithm]
-    if foreign := [name for name in settings if name.split(".")[0] in {"ppo", "sac"} - {group}]:
-        raise UsageError(f"{foreign[0]} does not exist for {algorithm}; its settings are {group}.*.")
-    if group == "sac" and (recurrent or share_parameters):
-        raise UsageError("--recurrent and --share-parameters exist for ippo and mappo only.")
-    recurrent = recurrent or settings.get("ppo.recurrent") is True
-    switches = {"recurrent": recurrent, "share_parameters": share_parameters} if group == "ppo" else {}
-    name = given.get("preset", "default")
-    row = preset(name, algorithm, task, recurrent)
-    groups = {"ppo": PPOConfig(), "sac": SACConfig()}
-    fields: dict[str, Any] = {
-        "num_envs": num_envs(name, algorithm, recurrent),
-        group: with_settings(groups[group], row | switches),
-    } | given
-    config = TrainConfig(task, task_config=cls.config_type(), **fields)
-    resolve_engine(config.engine)
-    return with_settings(config, settings)
-
-
-def stored_config(stored: Mapping[str, Any]) -> TrainConfig:
-    """The TrainConfig of what `to_json` made; fields that it lacks have their defaults."""
-    blank = TrainConfig(stored["task"], task_config=task_class(stored["task"]).config_type())
-    return with_settings(blank, {k: v for k, v in stored.items() if k not in ("task", "stamp")})
-
-
-def to_json(config: TrainConfig) -> dict[str, Any]:
-    """A configuration with the stamp of this process, without the settings that its algorithm does not have."""
-    content = dataclasses.asdict(config) | {"stamp": stamp()}
-    del content[{"ppo": "sac", "sac": "ppo"}[config.group]]
-    return content
 
 
 class Run:
@@ -187,7 +104,9 @@ class Run:
         None if it had to stop and save before, because of Ctrl-C or because `seconds` have passed.
         """
         if not (self.folder / "checkpoints").is_dir():
-            raise UsageError(f"{self.folder} is a result without checkpoints, which cannot go on; train anew with --out.")
+            raise UsageError(
+                f"{self.folder} is a result without checkpoints, which cannot go on; train anew with --out."
+            )
         self._write_config()
         state, done, spent = self._start()
         for name in ("metrics", "evaluations"):
@@ -254,7 +173,7 @@ class Run:
     def newest_checkpoint(self) -> Path | None:
         return max((self.folder / "checkpoints").glob("step_*.safetensors"), default=None)
 
-    def _save(self, state: Any, done: int, clock: "Clock") -> None:
+    def _save(self, state: Any, done: int, clock: Clock) -> None:
         steps = done * self.steps_per_iteration
         about = {"task": self.config.task, "algorithm": self.config.algorithm, "steps": steps}
         folder = self.folder / "checkpoints"
@@ -263,7 +182,7 @@ class Run:
         for old in sorted(folder.glob("step_*.safetensors"))[:-2]:
             old.unlink()
 
-    def _rows(self, done: int, clock: "Clock", logs, losses) -> list[dict]:
+    def _rows(self, done: int, clock: Clock, logs, losses) -> list[dict]:
         """One row of metrics.jsonl per seed."""
         about = {"steps": done * self.steps_per_iteration, "seconds": round(sum(clock.seconds.values()), 3)}
         plain = jax.tree.map(lambda x: np.asarray(x).item(), list(zip(self.seeds.seeds, logs, losses, strict=True)))
@@ -280,7 +199,7 @@ class Run:
 
     # -- afterwards ----------------------------------------------------------------------------
 
-    def _finish(self, clock: "Clock") -> dict[str, Any]:
+    def _finish(self, clock: Clock) -> dict[str, Any]:
         """Write summary, curve and film of a finished run; returns the summary."""
         config = self.config
         self._keep_rows("evaluations", (self.iterations - 1) * self.steps_per_iteration)  # the last is made anew
@@ -392,52 +311,3 @@ def find_partner(name: str, env: Env, agent: str) -> Partner:
         raise UsageError(f"{name} cannot play the {agent} here: its task or what it observes is another.")
     policies, params = zip(*(team[agent] for team in run.teams(deterministic=False)), strict=True)
     return Partner(policies[0], jax.tree.map(lambda *xs: jax.numpy.stack(xs), *params), len(params))
-
-
-class Clock:
-    """Adds up the seconds spent in named blocks."""
-
-    def __init__(self, seconds: dict[str, float]):
-        self.seconds = dict(seconds)
-
-    def __call__(self, name: str):
-        self._name = name
-        return self
-
-    def __enter__(self):
-        self._since = time.perf_counter()
-
-    def __exit__(self, *_):
-        passed = time.perf_counter() - self._since
-        self.seconds[self._name] = self.seconds.get(self._name, 0.0) + passed
-
-    def move(self, source: str, to: str, seconds: float) -> None:
-        """Count seconds of `source` as of `to` instead."""
-        self.seconds[source] -= seconds
-        self.seconds[to] = self.seconds.get(to, 0.0) + seconds
-
-
-class Stop:
-    """Asks to stop after this iteration: at the first Ctrl-C (the second one interrupts), or after `seconds`."""
-
-    def __init__(self, seconds: float = math.inf):
-        self._deadline = time.monotonic() + seconds
-
-    @property
-    def asked(self) -> bool:
-        return time.monotonic() > self._deadline
-
-    def __enter__(self):
-        def ask(*_):
-            self._deadline = -math.inf
-            signal.signal(signal.SIGINT, self._before)
-
-        try:
-            self._before = signal.signal(signal.SIGINT, ask)
-        except ValueError:  # not the main thread: then nobody sends us Ctrl-C
-            self._before = None
-        return self
-
-    def __exit__(self, *_):
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)

@@ -28,6 +28,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
+from assistax.clock import Clock, Stop
 from assistax.config import with_settings
 from assistax.errors import UsageError
 from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
@@ -36,10 +37,11 @@ from assistax.learning.seeds import Lanes
 from assistax.learning.tuned import tunable
 from assistax.physics import check_faults
 from assistax.physics.engine import UNSTABLE
-from assistax.runs import CHECKPOINT_SECONDS, Clock, Run, Stop, TrainConfig, stored_config, to_json
+from assistax.runs import CHECKPOINT_SECONDS, Run
 from assistax.stamp import stamp
 from assistax.statistics import seed_ci
 from assistax.sweep_figures import facets, overview
+from assistax.train_config import TrainConfig, stored_config, to_json
 
 Trial = tuple[int, int]
 """The number of a configuration, and a seed."""

@@ -16,8 +16,9 @@ from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint
 from assistax.policies import Team
-from assistax.runs import Run, stored_config, to_json
+from assistax.runs import Run
 from assistax.tasks import TASKS, task_class
+from assistax.train_config import stored_config, to_json
 
 TRAINED = Path(__file__).parent / "trained"
 

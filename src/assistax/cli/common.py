@@ -20,9 +20,10 @@ def teams_of(target: str, policy: str | None, engine: str | None, assignments: t
     from assistax.config import parse_assignments
     from assistax.env import Env
     from assistax.policies import scripted_team
-    from assistax.runs import Run, configure
+    from assistax.runs import Run
     from assistax.tasks import TASKS
     from assistax.team_file import load_team, trained_file
+    from assistax.train_config import configure
 
     settings = parse_assignments(assignments)
     if policy == "trained":

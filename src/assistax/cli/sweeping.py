@@ -69,8 +69,8 @@ def sweep(
     """
     from assistax.config import parse_assignments
     from assistax.learning.search import SEARCH
-    from assistax.runs import configure
     from assistax.sweep import Sweep
+    from assistax.train_config import configure
 
     if resume is not None:
         given: dict[str, Any] = {"task": task, "algorithm": algorithm, "configs": configs, "seeds": seeds}

@@ -62,7 +62,8 @@ def train(
       resume: continue this run folder; --steps may prolong it.
     """
     from assistax.config import parse_assignments
-    from assistax.runs import Run, configure
+    from assistax.runs import Run
+    from assistax.train_config import configure
 
     if resume is not None:
         given: dict[str, Any] = {"task": task, "algorithm": algorithm, "num-envs": num_envs, "seed": seed}

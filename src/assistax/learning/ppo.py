@@ -278,8 +278,8 @@ class PPO:
             values = self._value(critic, agent, seen, memory)
             next_values = self._value(critic, agent, final, after)
             ends = batch["terminated"], batch["done"]
-            # Values are then weighted means of rewards to come, of the size of one, which a critic learns at once; their
-            # sum over a long horizon is hundreds, and takes it a million steps. Advantages are normalised anyway.
+            # Values are then weighted means of the rewards to come, which a critic learns at once; their sums over a
+            # long horizon are hundreds, and take it a million steps. Advantages are normalised anyway.
             rewards = batch["rewards"][agent] * jnp.maximum(1.0 - c.gamma, 1.0 / self.env.episode_length)
             advantages = gae(rewards, values, next_values, *ends, c.gamma, c.gae_lambda)
             samples[agent] = {
