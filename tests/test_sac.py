@@ -186,7 +186,7 @@ def test_soft_targets_by_hand(joint):
     params["log_alpha"] = {"robot": jnp.log(0.1), "human": jnp.log(0.2)}
     for pair in params["target"].values():
         for critic, says in zip(pair, (3.0, 5.0), strict=True):
-            critic[-1]["b"] += says
+            critic[-1]["b"] += says / 2.0  # networks say what a step is worth, and look two ahead
     n = 20_000
     x = {"reward": jnp.ones(n), "terminated": jnp.arange(n) % 2 == 0, "next_others": {}}
     seen = {"robot": jnp.zeros((n, 2)), "human": jnp.zeros((n, 1)), "global": jnp.zeros((n, 2))}
@@ -238,7 +238,7 @@ def test_values_go_on_through_time_limits_and_not_through_ends(joint, terminatin
     for name, pair in state.params["critic"].items():
         if name == "human" and terminating:
             continue  # it does not see the clock
-        for value in trainer._judge(name, pair, seen, rows["actions"]):
+        for value in trainer._judge(trainer.config, name, pair, seen, rows["actions"]):
             np.testing.assert_allclose(value, np.where(late, 1.0, 1.5) if terminating else 2.0, atol=0.15)
 
 

@@ -263,11 +263,12 @@ class SAC:
             params[name] = optax.apply_updates(params[name], optax.tree.scale(rate, steps))
             return aux
 
-        targets = self.soft_targets(c, params, x, next_seen, next_key)
+        targets, horizon = self.soft_targets(c, params, x, next_seen, next_key), self._horizon(c)
 
         def critic_loss(critics):
-            judged = {name: self._judge(name, critics[name], seen, x["actions"]) for name in critics}
-            losses = {name: sum(jnp.square(q - targets[name]).mean() for q in judged[name]) for name in judged}
+            judged = {name: self._judge(c, name, critics[name], seen, x["actions"]) for name in critics}
+            errors = {name: [(q - targets[name]) / horizon for q in judged[name]] for name in judged}
+            losses = {name: sum(jnp.square(error).mean() for error in errors[name]) for name in errors}
             return sum(losses.values()), (losses, {name: judged[name][0].mean() for name in judged})
 
         critic_losses, values = descend("critic", critic_loss, c.critic_learning_rate)
@@ -276,7 +277,7 @@ class SAC:
             actions, log_probs = self._draw(actors, seen, actor_key)
             cost = sum((alpha[agent] * log_probs[agent]).mean() for agent in self.learners)
             gain = sum(
-                jnp.minimum(*self._judge(name, pair, seen, x["actions"] | actions)).mean()
+                jnp.minimum(*self._judge(c, name, pair, seen, x["actions"] | actions)).mean()
                 for name, pair in params["critic"].items()
             )
             return cost - gain, {agent: -log_probs[agent].mean() for agent in self.learners}
@@ -306,7 +307,7 @@ class SAC:
         goes_on = c.gamma * (1.0 - x["terminated"])
         targets = {}
         for name, (_, agents) in self._critics.items():
-            value = jnp.minimum(*self._judge(name, params["target"][name], next_seen, actions))
+            value = jnp.minimum(*self._judge(c, name, params["target"][name], next_seen, actions))
             for agent in (a for a in agents if a in self.learners):
                 value -= jnp.exp(params["log_alpha"][agent]) * log_probs[agent]
             targets[name] = x["reward"] + goes_on * value
@@ -324,11 +325,16 @@ class SAC:
             actions[agent], log_probs[agent] = sample_squashed(*head, agent_key)
         return actions, log_probs
 
-    def _judge(self, name, pair, seen, actions) -> list[jax.Array]:
+    def _horizon(self, c):
+        """Steps that a value looks ahead."""
+        return 1.0 / jnp.maximum(1.0 - c.gamma, 1.0 / self.env.episode_length)
+
+    def _judge(self, c, name, pair, seen, actions) -> list[jax.Array]:
         """The two values [batch] that a pair of critics gives."""
         sees, agents = self._critics[name]
         x = jnp.concatenate([seen[sees], *(actions[agent] for agent in agents)], -1)
-        return [mlp(critic, x, self.config.activation)[..., 0] for critic in pair]
+        # A network learns the mean reward to come, which is of the size of one, much sooner than the sum.
+        return [self._horizon(c) * mlp(critic, x, self.config.activation)[..., 0] for critic in pair]
 
 
 def temperature_loss(log_alpha: dict, entropy: dict, target: dict) -> jax.Array:
