@@ -29,11 +29,12 @@ def small(algorithm="ippo", **choices):
 
 def test_algorithm_and_switches_choose_trainer_and_row():
     plain, ours = configure("bed_bath", {}, preset="paper"), configure("bed_bath", {})
-    central = configure("bed_bath", {}, algorithm="mappo", recurrent=True)
+    central = configure("bed_bath", {}, algorithm="mappo", recurrent=True, preset="paper")
     assert (plain.num_envs, ours.num_envs, ours.ppo.gamma) == (1024, 256, 0.995)
     assert not plain.ppo.central_critic and not plain.ppo.recurrent and plain.ppo.clip_eps == 0.042
     assert central.ppo.central_critic and central.ppo.recurrent and central.ppo.clip_eps == 0.068
-    assert configure("bed_bath", {"ppo.recurrent": True}).ppo.clip_eps == 0.066
+    assert configure("bed_bath", {"ppo.recurrent": True}, preset="paper").ppo.clip_eps == 0.066
+    assert configure("scratch", {}, algorithm="mappo", recurrent=True).ppo.gamma == 0.995
     assert configure("scratch", {}, share_parameters=True).ppo.share_parameters
     joint, own = (configure("scratch", {}, algorithm=a) for a in ("masac", "isac"))
     assert joint.sac.joint_critics and not own.sac.joint_critics and joint.num_envs == 256

@@ -202,6 +202,7 @@ class Run:
     def _finish(self, clock: Clock) -> dict[str, Any]:
         """Write summary, curve and film of a finished run; returns the summary."""
         config = self.config
+        print("Evaluating and filming.", file=sys.stderr)  # in software, 200 frames take their time
         self._keep_rows("evaluations", (self.iterations - 1) * self.steps_per_iteration)  # the last is made anew
         results = self._evaluate(self.iterations, self.teams())
         each = [summarize(result) for result in results]

@@ -32,7 +32,7 @@ class TrainConfig:
     preset: str = "default"
     engine: str = "auto"
     steps: int = DEFAULT_STEPS  # per seed; rounded up to whole iterations
-    num_envs: int = 1024  # per seed
+    num_envs: int = 256  # per seed
     seed: int = 0
     num_seeds: int = 1
     partners: tuple[str, ...] = ()  # "human=still": seats that do not learn, and who plays them, see find_partner
@@ -75,7 +75,7 @@ def configure(task: str, settings: dict[str, Any], recurrent=False, share_parame
     row = preset(name, algorithm, task, recurrent)
     groups = {"ppo": PPOConfig(), "sac": SACConfig()}
     fields: dict[str, Any] = {
-        "num_envs": num_envs(name, algorithm, recurrent),
+        "num_envs": num_envs(name, algorithm),
         group: with_settings(groups[group], row | switches),
     } | given
     config = TrainConfig(task, task_config=cls.config_type(), **fields)

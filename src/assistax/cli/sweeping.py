@@ -54,8 +54,7 @@ def sweep(
       configs: how many configurations are drawn (default 168, as in the paper).
       seeds: how many times each is trained (default 12, as in the paper).
       steps: environment steps per trial (default 3 million).
-      num_envs: environments side by side, per trial (default 1024; 256 for masac, isac and the default preset of
-        feed-forward ippo).
+      num_envs: environments side by side, per trial (default 256; 1024 with the paper's preset of ippo and mappo).
       seed: of the draw, and the first one to train with (default 0).
       engine: auto (default), mujoco, warp or mjx.
       preset: what is not searched: default, or paper for the paper's table.

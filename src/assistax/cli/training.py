@@ -48,8 +48,7 @@ def train(
       recurrent: networks with memory (GRU); ippo and mappo.
       share_parameters: one network for both, told who it plays; ippo and mappo.
       steps: environment steps per seed (default 3 million; the paper trains for 40 million).
-      num_envs: environments side by side, per seed (default 1024; 256 for masac, isac and the default preset of
-        feed-forward ippo).
+      num_envs: environments side by side, per seed (default 256; 1024 with the paper's preset of ippo and mappo).
       seed: first random seed (default 0).
       num_seeds: independent runs in one program, with seeds S, S+1, ... (default 1).
       engine: auto (default), mujoco, warp or mjx.

@@ -1,8 +1,8 @@
 """Hyperparameters by name, algorithm and task, as data.
 
 `paper` holds the two tables of the paper's appendix "Hyperparameters"; where they are silent, the
-defaults of PPOConfig and SACConfig stand. `default` is the same but for feed-forward IPPO, which has a
-row of our own.
+defaults of PPOConfig and SACConfig stand. `default` has one row of our own for PPO in all its variants, so
+that they differ in nothing else, and the paper's for SAC.
 """
 
 from typing import Any
@@ -82,7 +82,7 @@ _PAPER = {
     "masac": _MASAC,
     "isac": _MASAC,  # not in the paper
 }
-# One row for all tasks; results/README.md tells what it is worth.
+# One row for all tasks and variants of PPO; results/README.md tells what it is worth.
 _OURS = {
     "learning_rate": 3.34e-4,
     "update_epochs": 4,  # 8 and 16 take longer than the physics
@@ -94,7 +94,7 @@ _OURS = {
     "gamma": 0.995,  # 1.6 s, as long as it takes to bring the tool to the mouth; 0.99 is 0.8 s
     "gae_lambda": 0.98,  # 0.4 s
 }
-_DEFAULT = _PAPER | {"ippo": dict.fromkeys(TASKS, _OURS)}
+_DEFAULT = _PAPER | {row: dict.fromkeys(TASKS, _OURS) for row in _PAPER if "ppo" in row}
 PRESETS: dict[str, dict[str, dict[str, dict[str, Any]]]] = {"paper": _PAPER, "default": _DEFAULT}
 
 # What makes an algorithm of a trainer: do its critics see the whole team?
@@ -106,10 +106,9 @@ ALGORITHMS = {
 }
 
 
-def num_envs(name: str, algorithm: str, recurrent: bool = False) -> int:
-    """How many environments a preset plays side by side; our IPPO learns more often, from smaller batches."""
-    ours = name == "default" and algorithm == "ippo" and not recurrent
-    return 256 if ours or algorithm in ("masac", "isac") else 1024
+def num_envs(name: str, algorithm: str) -> int:
+    """How many environments a preset plays side by side; our PPO learns more often, from smaller batches."""
+    return 256 if name == "default" or algorithm in ("masac", "isac") else 1024
 
 
 def preset(name: str, algorithm: str, task: str, recurrent: bool = False) -> dict[str, Any]:
