@@ -93,7 +93,7 @@ def test_ppo_solves_a_game_with_a_known_optimum_to_two_percent():
     for c in (-1.0, 1.0):
         game_state = {"c": jnp.float32(c), "t": jnp.int32(2), "return": jnp.float32(0)}
         obs, key, first = Meeting().see(game_state), jax.random.key(0), jnp.bool_(True)
-        actions = {a: policy.act(params[a], (), obs[a], first, key)[0] for a in Meeting.agents}
+        actions = {a: policy.act(params[a], policy.initial_carry(), obs[a], first, key)[0] for a in Meeting.agents}
         assert Meeting().step(key, game_state, actions)[2]["robot"] > 0.98
 
 
@@ -110,7 +110,7 @@ def test_a_central_critic_helps_where_luck_hides_what_was_achieved():
         params, policy = jax.vmap(ppo.policy_params)(state), ppo.policy()
 
         def mean(params, policy=policy):
-            return policy.act(params, (), jnp.ones(1), jnp.bool_(True), jax.random.key(0))[0][0]
+            return policy.act(params, policy.initial_carry(), jnp.ones(1), jnp.bool_(True), jax.random.key(0))[0][0]
 
         means = {agent: jax.vmap(mean)(params[agent]) for agent in Weather.agents}
         error[central] = float((jnp.abs(means["human"] - 0.5) + jnp.abs(means["robot"] + 0.5)).mean())
@@ -305,7 +305,7 @@ def test_a_frozen_actor_acts_exactly_as_in_the_run_that_trained_it(variant):
     stacked = jax.tree.map(lambda x: jnp.stack([x + 1.0, x]), before["human"])
     seats = Seats(ppo.env, 4, {"human": Partner(ppo.policy(), stacked, 2)})
     act = jax.jit(lambda seated, obs, reset, key: seats.act(seated, None, obs, reset, key))
-    seated = {"human": {"index": jnp.ones(4, jnp.int32), "carry": state.memory["human"]}}
+    seated = {"human": {"index": jnp.ones(4, jnp.int32), "carry": (state.memory["human"], jnp.zeros((4, 2)))}}
     assert np.asarray(batch["reset"])[1:].any()
     for t in range(12):
         obs = {a: x[t] for a, x in batch["obs"].items()}
@@ -313,6 +313,27 @@ def test_a_frozen_actor_acts_exactly_as_in_the_run_that_trained_it(variant):
         log_std = before["human"]["actor"]["log_std"]
         log_prob = gaussian_log_prob(batch["actions"]["human"][t], actions["human"], log_std)
         np.testing.assert_allclose(log_prob, batch["log_probs"]["human"][t], atol=1e-5)
+
+
+def test_exploration_is_correlated_within_episodes_alike_in_training_and_as_a_partner():
+    config = PPOConfig(num_steps=9, num_minibatches=1, hidden=(8,), noise_correlation=0.8, stagger=False)
+    ppo = PPO(Meeting(), config, 2000, 1)
+    state, batch = jax.jit(ppo.collect)(jax.jit(ppo.init)(jax.random.key(0)))
+    policy, params = ppo.policy(deterministic=False), ppo.policy_params(state)
+
+    def play(carry, now):
+        obs, reset, key = now
+        action, carry = jax.vmap(policy.act, (None, 0, 0, 0, 0))(params["human"], carry, obs, reset, key)
+        return carry, action
+
+    keys = jax.random.split(jax.random.key(1), (9, 2000))
+    carry = jax.tree.map(lambda x: jnp.broadcast_to(x, (2000, *x.shape)), policy.initial_carry())
+    _, played = jax.lax.scan(play, carry, (batch["obs"]["human"], batch["reset"], keys))
+    for actions in (batch["actions"]["human"], played):  # a fresh actor's mean is near zero
+        np.testing.assert_allclose(actions.std(1), 1.0, atol=0.06)
+        for t in range(8):
+            expected = 0.0 if t == 4 else 0.8  # the first episode has five steps
+            assert abs(np.corrcoef(actions[t, :, 0], actions[t + 1, :, 0])[0, 1] - expected) < 0.07
 
 
 def test_a_seat_that_does_not_learn_is_left_alone():
@@ -431,7 +452,7 @@ def test_only_whole_episodes_are_reported_when_starts_are_staggered():
 def test_tuned_settings_stand_in_for_those_of_the_configuration():
     """All at once as the configuration has them; each that is the default instead makes a difference."""
     others = {"learning_rate": 3e-2, "clip_eps": 0.05, "entropy_coef": 0.1, "value_coef": 2.0, "gamma": 0.5}
-    others |= {"gae_lambda": 0.3, "max_grad_norm": 0.1, "initial_log_std": -1.0}
+    others |= {"gae_lambda": 0.3, "max_grad_norm": 0.1, "initial_log_std": -1.0, "noise_correlation": 0.9}
     assert set(others) == tunable(PPOConfig())
     quick = {"num_steps": 10, "num_minibatches": 2, "update_epochs": 2, "hidden": (8,)}
 

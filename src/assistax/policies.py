@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from assistax.errors import choose
-from assistax.learning.networks import mlp, step
+from assistax.learning.networks import mlp, next_noise, step
 from assistax.learning.normalizer import normalize
 from assistax.learning.squashed import sample_squashed, split_head
 
@@ -64,17 +64,22 @@ class Actor:
     normalize_obs: bool = True
     deterministic: bool = True
     memory: int = 0  # units of its GRU; 0 for none
+    noise_correlation: float = 0.0  # of what it draws, from one step to the next
+    longest_action: int = 0  # as many numbers are drawn if not deterministic
 
     def initial_carry(self):
-        return jnp.zeros(self.memory) if self.memory else ()
+        """Its memory, and its noise."""
+        return jnp.zeros(self.memory) if self.memory else (), jnp.zeros(self.longest_action)
 
     def act(self, params, carry, obs, reset, key):
+        memory, noise = carry
         if self.normalize_obs:
             obs = normalize(params["normalizer"], obs)
-        mean, carry = step(params["actor"], obs, carry, reset, self.activation)
+        mean, memory = step(params["actor"], obs, memory, reset, self.activation)
         if self.deterministic:
-            return mean, carry
-        return mean + jnp.exp(params["actor"]["log_std"]) * jax.random.normal(key, mean.shape), carry
+            return mean, (memory, noise)
+        noise = next_noise(noise, reset, self.noise_correlation, key)
+        return mean + jnp.exp(params["actor"]["log_std"]) * noise[: mean.shape[-1]], (memory, noise)
 
 
 @dataclass(frozen=True)

@@ -156,6 +156,12 @@ def network_of(shared: Network, index: int, count: int, inputs: int, outputs: in
     return shared | {"layers": [first, *between, last]}
 
 
+def next_noise(noise: jax.Array, reset: jax.Array, correlation: float, key: jax.Array) -> jax.Array:
+    """Standard normal noise [..., n] one step after `noise`: correlated with it, unless `reset` [...]."""
+    kept = jnp.where(reset, 0.0, correlation)[..., None]
+    return kept * noise + jnp.sqrt(1.0 - jnp.square(kept)) * jax.random.normal(key, noise.shape)
+
+
 def gaussian_log_prob(x: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:
     """Log-density [...] of x [..., n] under independent normals."""
     z = (x - mean) * jnp.exp(-log_std)

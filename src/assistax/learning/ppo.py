@@ -27,6 +27,7 @@ from assistax.learning.networks import (
     init_network,
     mlp,
     network_of,
+    next_noise,
     step,
     unroll,
 )
@@ -57,6 +58,9 @@ class PPOConfig:
     hidden: tuple[int, ...] = (128, 128)
     activation: str = "tanh"
     initial_log_std: float = 0.0
+    noise_correlation: float = (
+        0.0  # of the exploration from one step to the next; log-probabilities are of each by itself
+    )
     normalize_obs: bool = True
     stagger: bool = True  # start the environments at different times of their episodes
 
@@ -70,6 +74,8 @@ class PPOConfig:
         for name in ("gamma", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
                 raise UsageError(f"ppo.{name} must be in [0, 1], not {getattr(self, name)}.")
+        if not 0 <= self.noise_correlation < 1:
+            raise UsageError(f"ppo.noise_correlation must be in [0, 1), not {self.noise_correlation}.")
         if not all(size > 0 for size in self.hidden) or (not self.hidden and (self.recurrent or self.share_parameters)):
             raise UsageError(f"ppo.hidden must be the sizes of one layer or more, not {self.hidden}.")
         choose("activation", self.activation, ACTIVATIONS)
@@ -86,6 +92,7 @@ class TrainState:
     obs: dict[str, jax.Array]  # agent -> [num_envs, n]
     reset: jax.Array  # [num_envs] whether obs begins an episode
     memory: dict[str, Any]  # learner -> its actor's carry before obs, [num_envs, units] or ()
+    noise: dict[str, jax.Array]  # learner -> [num_envs, n], what it explored with before obs, in standard deviations
     seated: dict[str, Any]  # who plays the seats that do not learn
     key: jax.Array
     iteration: jax.Array  # int32
@@ -150,6 +157,7 @@ class PPO:
             obs=obs,
             reset=jnp.ones(self.num_envs, bool),
             memory=dict.fromkeys(self.learners, blank),
+            noise={agent: jnp.zeros((self.num_envs, env.action_sizes[agent])) for agent in self.learners},
             seated=self.seats.init(seat_key),
             key=key,
             iteration=jnp.int32(0),
@@ -205,7 +213,8 @@ class PPO:
     def policy(self, deterministic: bool = True) -> Actor:
         """What plays the learners' seats, with `policy_params`, outside of training."""
         c = self.config
-        return Actor(c.activation, c.normalize_obs, deterministic, self._units)
+        longest = max(self.env.action_sizes[agent] for agent in self.learners)
+        return Actor(c.activation, c.normalize_obs, deterministic, self._units, c.noise_correlation, longest)
 
     def policy_params(self, state: TrainState) -> dict[str, Any]:
         """By learner, parameters for `policy`; of `state` only params and normalizer are read."""
@@ -214,21 +223,22 @@ class PPO:
 
     def collect(self, state: TrainState) -> tuple[TrainState, dict]:
         """Play `num_steps` in all environments: the batch, each array [num_steps, num_envs, ...]."""
-        env, c = self.env, self.config
+        env, c = self.env, overlaid(self.config, state.tuned)
         networks = self._networks(state.params)
         global_obs = jax.vmap(env.global_obs) if c.central_critic else lambda _: None
 
         def play(carry, key):
-            env_state, obs, reset, memory, seated, t = carry
+            env_state, obs, reset, memory, noise, seated, t = carry
             seat_key, redraw_key, step_key, *action_keys = jax.random.split(key, 3 + len(self.learners))
             actions, seated = self.seats.act(seated, env_state, obs, reset, seat_key)
             views = self._views(obs, global_obs(env_state))
             seen = self._seen(state.normalizer, views)
-            memory, log_probs = dict(memory), {}
+            memory, noise, log_probs = dict(memory), dict(noise), {}
             for agent, action_key in zip(self.learners, action_keys, strict=True):
                 actor = networks[agent]["actor"]
                 mean, memory[agent] = step(actor, seen[agent], memory[agent], reset, c.activation)
-                actions[agent] = mean + jnp.exp(actor["log_std"]) * jax.random.normal(action_key, mean.shape)
+                noise[agent] = next_noise(noise[agent], reset, c.noise_correlation, action_key)
+                actions[agent] = mean + jnp.exp(actor["log_std"]) * noise[agent]
                 log_probs[agent] = gaussian_log_prob(actions[agent], mean, actor["log_std"])
             step_keys = jax.random.split(step_key, self.num_envs)
             next_obs, env_state, rewards, terminated, truncated, info = jax.vmap(env.step)(
@@ -248,16 +258,15 @@ class PPO:
             }
             log = step_log(info, done & (t >= env.episode_length * c.stagger))
             seated = self.seats.redraw(seated, done, redraw_key)
-            return (env_state, next_obs, done, memory, seated, t + 1), (played, log)
+            return (env_state, next_obs, done, memory, noise, seated, t + 1), (played, log)
 
         key, rollout_key = jax.random.split(state.key)
         t = state.iteration * c.num_steps + 1
-        start = (state.env_state, state.obs, state.reset, state.memory, state.seated, t)
+        start = (state.env_state, state.obs, state.reset, state.memory, state.noise, state.seated, t)
         end, (batch, log) = jax.lax.scan(play, start, jax.random.split(rollout_key, c.num_steps))
-        env_state, obs, reset, memory, seated, _ = end
+        names = ("env_state", "obs", "reset", "memory", "noise", "seated")
         batch |= {"memory": state.memory, "log": iteration_log(log)}
-        state = replace(state, env_state=env_state, obs=obs, reset=reset, memory=memory, seated=seated, key=key)
-        return state, batch
+        return replace(state, **dict(zip(names, end[:-1], strict=True)), key=key), batch
 
     # -- learning ------------------------------------------------------------------------------
 

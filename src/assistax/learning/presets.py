@@ -91,6 +91,7 @@ _OURS = {
     "entropy_coef": 1.61e-3,
     "num_steps": 64,
     "initial_log_std": -1.0,  # a tool that shakes cannot hold 3 N
+    "noise_correlation": 0.8,  # exploration that moves an arm: over 36 ms, not from step to step
     "gamma": 0.995,  # 1.6 s, as long as it takes to bring the tool to the mouth; 0.99 is 0.8 s
     "gae_lambda": 0.98,  # 0.4 s
 }
