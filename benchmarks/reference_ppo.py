@@ -168,8 +168,8 @@ def train_brax(env: Env, settings: dict[str, Any], steps: int, seed: int) -> Tra
 def in_brax_terms(config: PPOConfig, num_envs: int) -> dict[str, Any]:
     """Our settings for Brax's `train`, as far as it has them.
 
-    It has one gradient norm for both networks where we have one each, does not clip normalised observations, and
-    starts the critic's last layer with the gain of the others.
+    It has one gradient norm for both networks where we have one each, does not clip normalised observations,
+    starts the critic's last layer with the gain of the others, and explores independently at every step.
     """
     gain = {"scale": 2.0**0.5}
     return {
@@ -181,6 +181,7 @@ def in_brax_terms(config: PPOConfig, num_envs: int) -> dict[str, Any]:
         "learning_rate": config.learning_rate,
         "entropy_cost": config.entropy_coef,
         "discounting": config.gamma,
+        "reward_scaling": 1.0 - config.gamma,
         "gae_lambda": config.gae_lambda,
         "clipping_epsilon": config.clip_eps,
         "vf_loss_coefficient": config.value_coef,
