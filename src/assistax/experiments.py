@@ -20,7 +20,7 @@ from assistax.learning.presets import TASKS
 
 ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
 PAPER_STEPS = {"masac": 6_000_000}  # the paper trains the others for 40 million
-DEFAULT_STEPS = 10_000_000
+DEFAULT_STEPS = 5_000_000  # some ten minutes on a laptop
 PEOPLE: dict[str, dict[str, Any]] = {  # by suffix of the experiment's name
     "": {},
     "-preferences": {"env.human.preference": "sweep"},
