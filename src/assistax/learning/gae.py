@@ -1,7 +1,19 @@
-"""Generalised advantage estimation (Schulman et al., 2016) that tells ends from time limits."""
+"""What steps are worth: the horizon of a value, and generalised advantages that tell ends from time limits.
+
+Generalised advantage estimation is by Schulman et al. (2016).
+"""
 
 import jax
 import jax.numpy as jnp
+
+
+def horizon(gamma, episode_length: int):
+    """How many steps a value looks ahead; at most an episode.
+
+    A network learns a value divided by it, a mean of the rewards to come, at once. The sum over a long horizon is
+    hundreds, and takes a network that starts at zero a million steps.
+    """
+    return 1.0 / jnp.maximum(1.0 - gamma, 1.0 / episode_length)
 
 
 def gae(

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import optax
 
 from assistax.errors import UsageError, choose
-from assistax.learning.gae import gae
+from assistax.learning.gae import gae, horizon
 from assistax.learning.log import iteration_log, step_log
 from assistax.learning.networks import (
     ACTIVATIONS,
@@ -287,9 +287,8 @@ class PPO:
             values = self._value(critic, agent, seen, memory)
             next_values = self._value(critic, agent, final, after)
             ends = batch["terminated"], batch["done"]
-            # Values are then weighted means of the rewards to come, which a critic learns at once; their sums over a
-            # long horizon are hundreds, and take it a million steps. Advantages are normalised anyway.
-            rewards = batch["rewards"][agent] * jnp.maximum(1.0 - c.gamma, 1.0 / self.env.episode_length)
+            # Values are then means of the rewards to come. Advantages are normalised anyway.
+            rewards = batch["rewards"][agent] / horizon(c.gamma, self.env.episode_length)
             advantages = gae(rewards, values, next_values, *ends, c.gamma, c.gae_lambda)
             samples[agent] = {
                 "action": batch["actions"][agent],

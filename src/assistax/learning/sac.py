@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import optax
 
 from assistax.errors import UsageError, choose
+from assistax.learning.gae import horizon
 from assistax.learning.log import iteration_log, step_log
 from assistax.learning.networks import ACTIVATIONS, init_mlp, mlp
 from assistax.learning.normalizer import RunningStats, init_stats, normalize, update_stats
@@ -263,11 +264,11 @@ class SAC:
             params[name] = optax.apply_updates(params[name], optax.tree.scale(rate, steps))
             return aux
 
-        targets, horizon = self.soft_targets(c, params, x, next_seen, next_key), self._horizon(c)
+        targets, ahead = self.soft_targets(c, params, x, next_seen, next_key), horizon(c.gamma, self.env.episode_length)
 
         def critic_loss(critics):
             judged = {name: self._judge(c, name, critics[name], seen, x["actions"]) for name in critics}
-            errors = {name: [(q - targets[name]) / horizon for q in judged[name]] for name in judged}
+            errors = {name: [(q - targets[name]) / ahead for q in judged[name]] for name in judged}
             losses = {name: sum(jnp.square(error).mean() for error in errors[name]) for name in errors}
             return sum(losses.values()), (losses, {name: judged[name][0].mean() for name in judged})
 
@@ -325,16 +326,12 @@ class SAC:
             actions[agent], log_probs[agent] = sample_squashed(*head, agent_key)
         return actions, log_probs
 
-    def _horizon(self, c):
-        """Steps that a value looks ahead."""
-        return 1.0 / jnp.maximum(1.0 - c.gamma, 1.0 / self.env.episode_length)
-
     def _judge(self, c, name, pair, seen, actions) -> list[jax.Array]:
         """The two values [batch] that a pair of critics gives."""
         sees, agents = self._critics[name]
         x = jnp.concatenate([seen[sees], *(actions[agent] for agent in agents)], -1)
-        # A network learns the mean reward to come, which is of the size of one, much sooner than the sum.
-        return [self._horizon(c) * mlp(critic, x, self.config.activation)[..., 0] for critic in pair]
+        ahead = horizon(c.gamma, self.env.episode_length)
+        return [ahead * mlp(critic, x, self.config.activation)[..., 0] for critic in pair]
 
 
 def temperature_loss(log_alpha: dict, entropy: dict, target: dict) -> jax.Array:
