@@ -1,4 +1,4 @@
-"""Anything that can be configured can be played: random tasks, people, settings and batch shapes."""
+"""Anything that can be configured can be played: random tasks, engines, people, settings and batch shapes."""
 
 import json
 
@@ -55,10 +55,11 @@ def configuration(seed):
 
 
 @pytest.mark.parametrize("seed", range(20, 28))  # which bring every task and every way to name a person
-def test_any_configuration_plays(seed):
+@pytest.mark.parametrize("engine", ["mujoco", *(pytest.param(e, marks=pytest.mark.slow) for e in ("warp", "mjx"))])
+def test_any_configuration_plays(engine, seed):
     """Through several resets: finite, of the promised shapes and types, without an engine's fault."""
     task, settings, batch = configuration(seed)
-    env = assistax.make(task, "mujoco", **json.loads(json.dumps(settings)))
+    env = assistax.make(task, engine, **json.loads(json.dumps(settings)))
     step, reset = env.step, env.reset
     for _ in batch:
         step, reset = jax.vmap(step), jax.vmap(reset)

@@ -123,7 +123,7 @@ def test_squashed_log_prob_far_out():
 
 def test_samples_come_with_their_own_log_prob_and_fill_the_box():
     mean, log_std = jnp.zeros((4096, 2)), jnp.full((4096, 2), jnp.log(0.5))
-    action, log_prob = sample_squashed(mean, log_std, jax.random.key(0))
+    action, log_prob = sample_squashed(mean, log_std, jax.random.normal(jax.random.key(0), mean.shape))
     np.testing.assert_allclose(log_prob, squashed_log_prob(jnp.arctanh(action), mean, log_std), atol=1e-3)
     # The median of |tanh(u)| is tanh of the median of |u|, 0.6745 standard deviations.
     np.testing.assert_allclose(jnp.median(jnp.abs(action)), math.tanh(0.5 * 0.6745), atol=0.01)
@@ -258,6 +258,26 @@ def test_solves_a_game_with_a_computed_optimum_to_two_percent(joint):
         assert abs(float(stats[agent]["entropy"]) + size) < 0.5
 
 
+def test_exploration_is_correlated_alike_in_training_and_as_a_partner():
+    config = SACConfig(num_steps=6, updates=1, buffer_size=12_000, warmup=0, noise_correlation=0.8)
+    trainer = SAC(Carrying(), config, num_envs=2000, total_iterations=1)
+    state = jax.jit(lambda key: trainer.collect(trainer.init(key))[0])(jax.random.key(0))
+    policy, params = trainer.policy(deterministic=False), trainer.policy_params(state)
+
+    def play(carry, now):
+        action, carry = jax.vmap(policy.act, (None, 0, 0, None, 0))(params["robot"], carry, *now)
+        return carry, action
+
+    seen = trainer._packing.unpack(state.replay.rows["obs"])["robot"].reshape(6, 2000, -1)
+    carry = jnp.broadcast_to(policy.initial_carry(), (2000, policy.longest_action))
+    _, played = jax.lax.scan(play, carry, (seen, jnp.arange(6) == 0, jax.random.split(jax.random.key(1), (6, 2000))))
+    for actions in (state.replay.rows["actions"]["robot"].reshape(6, 2000, -1), played):
+        u = np.arctanh(actions[..., 0])
+        np.testing.assert_allclose(u.std(1), u.std(), rtol=0.1)
+        for t in range(5):
+            assert abs(np.corrcoef(u[t], u[t + 1])[0, 1] - 0.8) < 0.05
+
+
 def test_resumed_equals_uninterrupted(scratch, tmp_path):
     config = SACConfig(num_steps=4, updates=2, batch_size=16, buffer_size=48, warmup=20)
     trainer = SAC(scratch, config, num_envs=4, total_iterations=6)
@@ -276,7 +296,7 @@ def test_resumed_equals_uninterrupted(scratch, tmp_path):
 def test_tuned_settings_stand_in_for_those_of_the_configuration():
     """All at once as the configuration has them; each that is the default instead makes a difference."""
     others = {"actor_learning_rate": 3e-2, "critic_learning_rate": 2e-2, "alpha_learning_rate": 1e-2}
-    others |= {"tau": 0.3, "gamma": 0.5, "initial_alpha": 0.1}
+    others |= {"tau": 0.3, "gamma": 0.5, "initial_alpha": 0.1, "noise_correlation": 0.9}
     assert set(others) == tunable(SACConfig())
     quick = {"updates": 3, "batch_size": 32, "buffer_size": 1024, "warmup": 64, "hidden": (8,)}
 
@@ -390,7 +410,7 @@ def bare_loop(trainer, params, batch):
 
     def draw(actor, obs, key):
         mean, log_std = split_head(mlp(actor, obs, "relu"))
-        return sample_squashed(mean, log_std, key)
+        return sample_squashed(mean, log_std, jax.random.normal(key, mean.shape))
 
     def judge(critic, obs, robot, human):
         return mlp(critic, jnp.concatenate([obs["global"], robot, human], -1), "relu")[:, 0]

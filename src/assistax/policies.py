@@ -89,9 +89,12 @@ class SquashedActor:
     activation: str = "relu"
     normalize_obs: bool = True
     deterministic: bool = True  # tanh of the mean
+    noise_correlation: float = 0.0  # of what it draws, from one step to the next
+    longest_action: int = 0  # as many numbers are drawn if not deterministic
 
     def initial_carry(self):
-        return ()
+        """Its noise."""
+        return jnp.zeros(self.longest_action)
 
     def act(self, params, carry, obs, reset, key):
         if self.normalize_obs:
@@ -99,7 +102,8 @@ class SquashedActor:
         mean, log_std = split_head(mlp(params["actor"]["layers"], obs, self.activation))
         if self.deterministic:
             return jnp.tanh(mean), carry
-        return sample_squashed(mean, log_std, key)[0], carry
+        noise = next_noise(carry, reset, self.noise_correlation, key)
+        return sample_squashed(mean, log_std, noise[: mean.shape[-1]])[0], noise
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,7 @@ class SACConfig:
     buffer_size: int = 1_000_000  # transitions; about 0.5 GB, in memory and in every checkpoint
     warmup: int = 5_000  # transitions played with uniformly random actions, before the policy plays
     initial_alpha: float = 1.0
+    noise_correlation: float = 0.0  # of the exploration from one step to the next
     hidden: tuple[int, ...] = (128, 128)
     activation: str = "relu"
     normalize_obs: bool = True
@@ -61,6 +62,8 @@ class SACConfig:
             raise UsageError(f"sac.tau must be in (0, 1], not {self.tau}.")
         if not 0 <= self.gamma <= 1:
             raise UsageError(f"sac.gamma must be in [0, 1], not {self.gamma}.")
+        if not 0 <= self.noise_correlation < 1:
+            raise UsageError(f"sac.noise_correlation must be in [0, 1), not {self.noise_correlation}.")
         choose("activation", self.activation, ACTIVATIONS)
 
 
@@ -74,6 +77,7 @@ class SACState:
     replay: Replay
     env_state: Any  # [num_envs, ...]
     obs: dict[str, jax.Array]  # agent -> [num_envs, n]
+    noise: dict[str, jax.Array]  # learner -> [num_envs, longest action], what it explored with before obs
     seated: dict[str, Any]  # who plays the seats that do not learn
     others: dict[str, jax.Array]  # partner -> [num_envs, n], what it will do next
     key: jax.Array
@@ -152,15 +156,29 @@ class SAC:
             "reward": jnp.float32(0.0),
             "terminated": jnp.bool_(False),
         }
-        replay = init_replay(transition, c.buffer_size, self.steps_per_iteration)
-        normalizer = init_stats(row.shape[-1])
-        return SACState(params, opt_state, normalizer, replay, env_state, obs, seated, others, key, jnp.int32(0), tuned)
+        shape = self.num_envs, self.policy(deterministic=False).longest_action
+        return SACState(
+            params=params,
+            opt_state=opt_state,
+            normalizer=init_stats(row.shape[-1]),
+            replay=init_replay(transition, c.buffer_size, self.steps_per_iteration),
+            env_state=env_state,
+            obs=obs,
+            noise={a: jax.random.normal(jax.random.fold_in(act_key, i), shape) for i, a in enumerate(self.learners)},
+            seated=seated,
+            others=others,
+            key=key,
+            iteration=jnp.int32(0),
+            tuned=tuned,
+        )
 
     # -- acting --------------------------------------------------------------------------------
 
     def policy(self, deterministic: bool) -> SquashedActor:
         """Acts as a learner, with its `policy_params`."""
-        return SquashedActor(self.config.activation, self.config.normalize_obs, deterministic)
+        c = self.config
+        longest = max(self.env.action_sizes[agent] for agent in self.learners)
+        return SquashedActor(c.activation, c.normalize_obs, deterministic, c.noise_correlation, longest)
 
     def policy_params(self, state: SACState) -> dict[str, Any]:
         """By learner, the parameters for `policy`."""
@@ -176,18 +194,20 @@ class SAC:
 
     def collect(self, state: SACState) -> tuple[SACState, dict]:
         """Play `num_steps` in all environments, into the replay; the batch holds only the log."""
-        env, c = self.env, self.config
-        act = jax.vmap(self.policy(deterministic=False).act, in_axes=(None, None, 0, 0, 0))
+        env, c = self.env, overlaid(self.config, state.tuned)
+        policy = replace(self.policy(deterministic=False), noise_correlation=c.noise_correlation)
+        act = jax.vmap(policy.act, in_axes=(None, 0, 0, None, 0))
         params = self.policy_params(state)
         warming_up = state.iteration * self.steps_per_iteration < c.warmup
 
         def play(carry, key):
-            env_state, obs, seated, others, t = carry
+            env_state, obs, noise, seated, others, t = carry
             act_key, random_key, step_key, redraw_key, seat_key = jax.random.split(key, 5)
-            actions = dict(others)
+            actions, noise = dict(others), dict(noise)
             for i, agent in enumerate(self.learners):
                 keys = jax.random.split(jax.random.fold_in(act_key, i), self.num_envs)
-                chosen, _ = act(params[agent], (), obs[agent], jnp.zeros(self.num_envs, bool), keys)
+                # The noise goes on where an episode begins: it is standard normal there too.
+                chosen, noise[agent] = act(params[agent], noise[agent], obs[agent], False, keys)
                 random = jax.random.uniform(jax.random.fold_in(random_key, i), chosen.shape, minval=-1.0)
                 actions[agent] = jnp.where(warming_up, random, chosen)
             row = self._packing.pack(jax.vmap(env.global_obs)(env_state), obs)
@@ -206,12 +226,13 @@ class SAC:
                 "terminated": terminated["__all__"],  # not at a time limit: there the value goes on
             }
             log = step_log(info, done & (t >= env.episode_length * c.stagger))
-            return (env_state, obs, seated, next_others, t + 1), (transition, log)
+            return (env_state, obs, noise, seated, next_others, t + 1), (transition, log)
 
         key, rollout_key = jax.random.split(state.key)
-        start = (state.env_state, state.obs, state.seated, state.others, state.iteration * c.num_steps + 1)
+        t = state.iteration * c.num_steps + 1
+        start = (state.env_state, state.obs, state.noise, state.seated, state.others, t)
         end, (chunk, log) = jax.lax.scan(play, start, jax.random.split(rollout_key, c.num_steps))
-        env_state, obs, seated, others, _ = end
+        env_state, obs, noise, seated, others, _ = end
         chunk = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), chunk)
         state = replace(
             state,
@@ -219,6 +240,7 @@ class SAC:
             replay=add(state.replay, chunk),
             env_state=env_state,
             obs=obs,
+            noise=noise,
             seated=seated,
             others=others,
             key=key,
@@ -323,7 +345,8 @@ class SAC:
         actions, log_probs = {}, {}
         for agent, agent_key in zip(self.learners, jax.random.split(key, len(self.learners)), strict=True):
             head = split_head(mlp(actors[agent], seen[agent], self.config.activation))
-            actions[agent], log_probs[agent] = sample_squashed(*head, agent_key)
+            noise = jax.random.normal(agent_key, head[0].shape)
+            actions[agent], log_probs[agent] = sample_squashed(*head, noise)
         return actions, log_probs
 
     def _judge(self, c, name, pair, seen, actions) -> list[jax.Array]:

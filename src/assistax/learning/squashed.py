@@ -18,9 +18,8 @@ def split_head(out: jax.Array) -> tuple[jax.Array, jax.Array]:
     return mean, low + 0.5 * (high - low) * (1.0 + jnp.tanh(free))
 
 
-def sample_squashed(mean: jax.Array, log_std: jax.Array, key: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """An action [..., n] in [-1, 1], differentiable in mean and log_std, and its log-density [...]."""
-    noise = jax.random.normal(key, mean.shape)
+def sample_squashed(mean: jax.Array, log_std: jax.Array, noise: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """An action [..., n] in [-1, 1] by standard normal noise, differentiable in mean and log_std; its log-density."""
     u = mean + jnp.exp(log_std) * noise
     return jnp.tanh(u), squashed_log_prob(u, mean, log_std)
 
