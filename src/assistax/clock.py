@@ -1,8 +1,11 @@
-"""Where a training's time goes, and when it has to stop."""
+"""Where a training's time goes, how far it is, and when it has to stop."""
 
 import math
 import signal
+import sys
 import time
+
+from tqdm import tqdm
 
 
 class Clock:
@@ -26,6 +29,12 @@ class Clock:
         """Count seconds of `source` as of `to` instead."""
         self.seconds[source] -= seconds
         self.seconds[to] = self.seconds.get(to, 0.0) + seconds
+
+
+def progress_bar(total: int, done: int) -> tqdm:
+    """Of environment steps, on stderr; in a file, where nobody watches it move, a word every half minute."""
+    interval = 0.1 if sys.stderr.isatty() else 30.0
+    return tqdm(total=total, initial=done, unit=" steps", unit_scale=True, mininterval=interval, maxinterval=interval)
 
 
 class Stop:

@@ -19,9 +19,8 @@ from typing import Any
 
 import jax
 import numpy as np
-from tqdm import tqdm
 
-from assistax.clock import Clock, Stop
+from assistax.clock import Clock, Stop, progress_bar
 from assistax.config import with_settings
 from assistax.env import Env
 from assistax.errors import UsageError, choose
@@ -118,7 +117,7 @@ class Run:
         with (
             stop,
             open(self.folder / "metrics.jsonl", "a") as log,
-            tqdm(total=total, initial=done * total // self.iterations, unit=" steps", unit_scale=True) as bar,
+            progress_bar(total, done * total // self.iterations) as bar,
         ):
             saved = time.monotonic()
             leave = done == self.iterations
@@ -141,7 +140,7 @@ class Run:
                 if ended:
                     mean = np.mean([row["episode"]["return"] for row in ended])
                     success = np.mean([row["episode"]["success"] for row in ended])
-                    bar.set_postfix_str(f"return {mean:.0f}, success {success:.0%}")
+                    bar.set_postfix_str(f"return {mean:.0f}, success {success:.0%}", refresh=False)
                 if done in self.evaluate_at:
                     with clock("evaluation"):
                         self._evaluate(done, map(self.team, self.seeds.each(state)))

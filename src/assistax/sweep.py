@@ -28,7 +28,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from assistax.clock import Clock, Stop
+from assistax.clock import Clock, Stop, progress_bar
 from assistax.config import with_settings
 from assistax.errors import UsageError
 from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
@@ -150,7 +150,7 @@ class Sweep:
         write_atomically(self.folder / "trials.jsonl", _lines(finished.values()))
         total = sum(map(self._steps, range(len(self.drawn)))) * len(self.seeds)
         initial = sum(row["steps"] for row in finished.values())
-        with Stop(seconds) as stop, tqdm(total=total, initial=initial, unit=" steps", unit_scale=True) as bar:
+        with Stop(seconds) as stop, progress_bar(total, initial) as bar:
             for members in self._programs:
                 left = [(i, seed) for seed in self.seeds for i in members if (i, seed) not in finished]
                 programs: dict[int, Program] = {}
@@ -164,7 +164,7 @@ class Sweep:
                     finished |= {(row["config"], row["seed"]): row for row in rows}
                     self._append(rows)
                     ranking = self._report(finished.values())
-                    bar.set_postfix_str(f"{len(finished)} trials, best area {ranking[0]['auc'] or math.nan:.0f}")
+                    bar.set_postfix_str(f"{len(finished)} trials, best area {ranking[0]['auc'] or math.nan:.0f}", False)
         ranking = self._report(finished.values())
         for name in intervals(self.search):
             path = self.folder / f"sweep_{name.split('.')[-1]}.png"
