@@ -1,8 +1,8 @@
 """Hyperparameters by name, algorithm and task, as data.
 
 `paper` holds the two tables of the paper's appendix "Hyperparameters"; where they are silent, the
-defaults of PPOConfig and SACConfig stand. `default` has one row of our own for PPO in all its variants, so
-that they differ in nothing else, and the paper's for SAC.
+defaults of PPOConfig and SACConfig stand. `default` has one row of our own for PPO in all its variants and one
+for SAC, so that they differ in nothing else.
 """
 
 from typing import Any
@@ -95,7 +95,19 @@ _OURS = {
     "gamma": 0.995,  # 1.6 s, as long as it takes to bring the tool to the mouth; 0.99 is 0.8 s
     "gae_lambda": 0.98,  # 0.4 s
 }
-_DEFAULT = _PAPER | {row: dict.fromkeys(TASKS, _OURS) for row in _PAPER if "ppo" in row}
+# The same for SAC.
+_OUR_SAC = {
+    "actor_learning_rate": 3e-4,
+    "critic_learning_rate": 1e-3,
+    "alpha_learning_rate": 3e-4,
+    "tau": 0.02,  # values must first grow to 100 rewards, in 1 / tau / (1 - gamma) = 5,000 gradient steps
+    "updates": 64,
+    "num_steps": 8,
+    "batch_size": 256,
+    "initial_alpha": 0.002,  # entropy must not outweigh rewards of 0.1 per step
+    "noise_correlation": 0.8,
+}
+_DEFAULT = {row: dict.fromkeys(TASKS, _OUR_SAC if "sac" in row else _OURS) for row in _PAPER}
 PRESETS: dict[str, dict[str, dict[str, dict[str, Any]]]] = {"paper": _PAPER, "default": _DEFAULT}
 
 # What makes an algorithm of a trainer: do its critics see the whole team?
