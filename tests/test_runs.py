@@ -36,9 +36,10 @@ def test_algorithm_and_switches_choose_trainer_and_row():
     assert configure("bed_bath", {"ppo.recurrent": True}, preset="paper").ppo.clip_eps == 0.066
     assert configure("scratch", {}, algorithm="mappo", recurrent=True).ppo.gamma == 0.995
     assert configure("scratch", {}, share_parameters=True).ppo.share_parameters
-    joint, own = (configure("scratch", {}, algorithm=a) for a in ("masac", "isac"))
+    joint, own = (configure("scratch", {}, algorithm=a, preset="paper") for a in ("masac", "isac"))
     assert joint.sac.joint_critics and not own.sac.joint_critics and joint.num_envs == 256
     assert joint.sac.actor_learning_rate == 5.62e-5
+    assert configure("feeding", {}, algorithm="isac").sac.tau == 0.02
 
 
 @pytest.mark.parametrize(
