@@ -156,7 +156,8 @@ def experiments(seeds: int = 1) -> Iterator[Job]:
         for people in list(PEOPLE)[1:]:
             yield from (Training(task, "ippo", "default", people, seed) for task in TASKS)
         for algorithm in ALGORITHMS[1:]:
-            yield from (Training(task, algorithm, "paper", "-preferences", seed) for task in TASKS)
+            for preset in ("default", "paper"):
+                yield from (Training(task, algorithm, preset, "-preferences", seed) for task in TASKS)
 
 
 def status(chosen: list[Job], results: Path, work: Path) -> list[tuple[Job, float]]:
