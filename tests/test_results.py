@@ -128,6 +128,13 @@ def test_other_differences_are_told_apart(settings, tell, tmp_path):
     assert len(found) == 2 and [tell(e) for e in found].count(True) == 1
 
 
+def test_experiments_are_sorted_by_task_person_and_method(tmp_path):
+    order = [{}, {"steps": 15_000}, {"algorithm": "mappo"}, {"env__human__preference": "sweep"}, {"task": "feeding"}]
+    folders = [write_run(tmp_path / str(i), [1, 2], **settings) for i, settings in enumerate(order)]
+    found = [e.runs[0].folder.name for e in pooled(*reversed(folders))]
+    assert found == [str(i) for i in range(len(order))]
+
+
 def test_what_an_older_version_does_not_know_is_no_difference(tmp_path):
     a, b = write_run(tmp_path / "a", [1, 2]), write_run(tmp_path / "b", [1, 2], seed=1)
     config = json.loads((a / "config.json").read_text())

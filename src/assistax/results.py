@@ -194,7 +194,11 @@ def experiments(runs: Sequence[StoredRun]) -> list[Experiment]:
         for note, pooled in apart.items():
             found.append(Experiment(task, person, dataclasses.replace(method, note=note), tuple(pooled)))
             _check_pooled(found[-1])
-    return sorted(found, key=lambda e: (list(BOUNDS).index(e.task), e.person != "none", e.person))
+
+    def order(e: Experiment):
+        return list(BOUNDS).index(e.task), e.person != "none", e.person, dataclasses.astuple(e.method)
+
+    return sorted(found, key=order)
 
 
 def _person(settings: dict[str, Any]) -> str:
