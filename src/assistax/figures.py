@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from assistax.comparison import SCALES, bound_of, expert_of, scale, scales
 from assistax.errors import UsageError, choose
 from assistax.results import POINTS, Experiment, Method, best_source, by_method, check_comparable, curve
-from assistax.statistics import FEW_SEEDS, Interval, iqm, mean, seed_ci
+from assistax.statistics import FEW_SEEDS, iqm, mean, seed_ci
 
 FORMATS = (".png", ".svg", ".pdf")
 # Okabe and Ito's, which colour-blind readers can tell apart; without yellow, too light for a line.
@@ -81,7 +81,7 @@ def learning_curves(
       found: experiments; their returns must be comparable.
       records: what scripted policies reach, see `comparison.read_references`.
       by: "task": a panel per task, and with several tasks one with the interquartile mean over them, of methods that
-        have them all; a row of panels per kind of person. "algorithm": a panel per method, with a curve per task.
+        have them all; for each kind of person. "algorithm": a panel per method, with a curve per task.
       metric: of `Env.metrics`.
       source: "evaluation" or "training" episodes; None: evaluation where all runs have it.
       kind: of comparison.SCALES, to put returns of several tasks together; None: minmax where all have it, else bound.
@@ -90,60 +90,60 @@ def learning_curves(
     check_comparable(found)
     source = source or best_source(found)
     label = f"{metric.replace('_', ' ')}, {source} episodes"
-    ends, scaled = _scale(found, records, metric, kind)
     curves = {e: Curve(steps, [values]) for e in found for steps, values in [curve(e, metric, source)]}
-    normalised = {e: _normalised(curves[e], *ends[e]) for e in found} if ends else curves
     names, persons = _names(found), list(dict.fromkeys(e.person for e in found))
-    tasks = list(dict.fromkeys(e.task for e in found))
 
     def title(words, person):
         who = "no preference, no disability" if person == "none" else person
         return f"{words}\n{who}" if len(persons) > 1 else words
 
     if by == "algorithm":
-        groups = {
-            title(names[m], p): {e.task: normalised[e] for e in each} for (p, m), each in by_method(found).items()
-        }
-        panels = [Panel(words, scaled or label, shown) for words, shown in groups.items()]
+        shown, scaled = _normalised(curves, records, metric, kind)
+        panels = [
+            Panel(title(names[method], person), scaled or label, {e.task: (shown or curves)[e] for e in each})
+            for (person, method), each in by_method(found).items()
+        ]
         return _draw(_fold(panels), source, same_scale=True)
     rows = []
     for person in persons:
-        row: list[Panel | None] = []
-        mine = [e for e in found if e.person == person]
+        mine = {e: curves[e] for e in found if e.person == person}
+        row, tasks = [], list(dict.fromkeys(e.task for e in mine))
         for task in tasks:
-            here = {names[e.method]: e for e in mine if e.task == task}
-            shown = {name: curves[e] for name, e in here.items()}
-            lines = _lines(next(iter(here.values())), records) if here and metric == "return" else {}
-            row.append(Panel(title(task, person), label, shown, lines=lines) if here else None)
-        number = len({e.task for e in mine})
-        whole = {names[m]: each for (_, m), each in by_method(mine).items() if len(each) == number}
-        if ends and number > 1 and whole:
-            shown = {name: _together([normalised[e] for e in each]) for name, each in whole.items()}
-            row.append(Panel(title(f"all {number} tasks", person), f"{scaled or label}, IQM", shown, iqm))
+            here = [e for e in mine if e.task == task]
+            lines = _lines(here[0], records) if metric == "return" else {}
+            row.append(Panel(title(task, person), label, {names[e.method]: curves[e] for e in here}, lines=lines))
+        shown, scaled = _normalised(mine, records, metric, kind)
+        whole = {names[m]: each for (_, m), each in by_method(list(mine)).items() if len(each) == len(tasks)}
+        if shown and len(tasks) > 1 and whole:
+            together = {name: _together([shown[e] for e in each]) for name, each in whole.items()}
+            row.append(Panel(title(f"all {len(tasks)} tasks", person), f"{scaled or label}, IQM", together, iqm))
         rows.append(row)
-    return _draw(_fold(rows[0]) if len(rows) == 1 else rows, source)
+    # A row for each person and a column for each task, if that leaves no holes.
+    pairs = {(e.person, e.task) for e in found}
+    aligned = len(rows) > 1 and len(pairs) == len(rows) * len({task for _, task in pairs})
+    return _draw(rows if aligned else _fold([panel for row in rows for panel in row]), source)
 
 
-def _fold(row: Sequence[Panel | None]) -> list[Sequence[Panel | None]]:
+def _fold(row: Sequence[Panel]) -> list[Sequence[Panel]]:
     return [row[i : i + 3] for i in range(0, len(row), 3)]
 
 
-def _scale(found, records, metric: str, kind: str | None) -> tuple[dict[Experiment, Interval] | None, str]:
-    """How tasks are put together: by experiment what counts 0 and 1, and the words for it; None if they cannot be."""
+def _normalised(curves: dict[Experiment, Curve], records, metric: str, kind: str | None):
+    """(Curves on a scale on which tasks can be put together, words for it), (None, "") if there is no such scale."""
     if metric == "success":
-        return dict.fromkeys(found, (0.0, 1.0)), ""
+        return curves, ""
     if metric != "return":
         return None, ""
     for choice in [kind] if kind else ["minmax", "bound"]:
-        if ends := scales(found, choice, records):
-            return ends, SCALES[choice]
+        if ends := scales(curves, choice, records):
+            return {e: _between(of, *ends[e]) for e, of in curves.items()}, SCALES[choice]
     if kind:
-        e = next(e for e in found if scale(e, kind, records) is None)
+        e = next(e for e in curves if scale(e, kind, records) is None)
         raise UsageError(f"{e.name}, person {e.person}: nothing to scale by {kind} with this reward and person.")
     return None, ""
 
 
-def _normalised(of: Curve, low: float, high: float) -> Curve:
+def _between(of: Curve, low: float, high: float) -> Curve:
     return Curve(of.steps, [(values - low) / (high - low) for values in of.tasks])
 
 
@@ -172,10 +172,10 @@ def _lines(experiment: Experiment, records) -> dict[str, float]:
     return {name: value for name, value in lines.items() if value is not None}
 
 
-def _draw(rows: Sequence[Sequence[Panel | None]], source: str, same_scale: bool = False) -> Figure:
+def _draw(rows: Sequence[Sequence[Panel]], source: str, same_scale: bool = False) -> Figure:
     """Panels in rows, with one legend for all."""
     width = max(map(len, rows))
-    panels = [panel for row in rows for panel in row if panel]
+    panels = [panel for row in rows for panel in row]
     names = list(dict.fromkeys(name for panel in panels for name in panel.curves))
     looks: dict[str, dict[str, Any]] = {
         name: {"color": COLOURS[i % len(COLOURS)], "ls": DASHES[i // len(COLOURS) % 4]} for i, name in enumerate(names)
@@ -197,8 +197,6 @@ def _draw(rows: Sequence[Sequence[Panel | None]], source: str, same_scale: bool 
         for row, places in zip(rows, grid, strict=True):
             before = None
             for panel, axes in zip(row, places, strict=False):
-                if panel is None:
-                    continue
                 _fill(axes, panel, looks)
                 axes.set(title=panel.title, ylabel=panel.label if panel.label != before else "")
                 before = panel.label

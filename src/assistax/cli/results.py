@@ -57,7 +57,7 @@ def plot(
     """Plot learning curves: means over seeds, with 95 % intervals over them.
 
     By task: a panel per task with a curve per algorithm, and one for all tasks together (interquartile mean of
-    normalised returns); one row of panels for each kind of person, as with and without preferences. By algorithm: a
+    normalised returns); for each kind of person, as with and without preferences. By algorithm: a
     panel per algorithm with a curve per task.
 
     For example:
