@@ -341,10 +341,11 @@ def test_one_seed_is_drawn_without_a_band_and_preferences_in_a_row_of_their_own(
     assert above.get_subplotspec().rowspan.start == 0 and below.get_subplotspec().rowspan.start == 1
     assert drawn(above)[2] == ["paper's bound", "expert"] and drawn(below)[2] == ["paper's bound"]
     assert not any(np.isfinite(path.vertices).all() and len(path.vertices) for path in above.collections[0].get_paths())
-    other = write_run(tmp_path / "c", [1, 2, 3], task="feeding")
-    folded = [axes for axes in figures.learning_curves(pooled(plain, liked, other), RECORDS).axes if axes.axison]
-    assert [axes.get_title().split("\n")[0] for axes in folded] == ["scratch", "feeding", "all 2 tasks", "scratch"]
-    assert [axes.get_subplotspec().rowspan.start for axes in folded] == [0, 0, 0, 1]  # no holes
+    fed = write_run(tmp_path / "c", [1, 2, 3], task="feeding")
+    liked = write_run(tmp_path / "d", [1, 2, 3], task="feeding", env__human__preference="sweep")
+    folded = [axes for axes in figures.learning_curves(pooled(plain, fed, liked), RECORDS).axes if axes.axison]
+    assert [axes.get_title().split("\n")[0] for axes in folded] == ["scratch", "feeding", "all 2 tasks", "feeding"]
+    assert [axes.get_subplotspec().colspan.start for axes in folded] == [0, 1, 2, 0]  # no hole before the last
 
 
 @pytest.mark.parametrize("suffix", ["png", "svg", "pdf"])
