@@ -421,6 +421,33 @@ def test_a_point_counts_once(envs):
     assert env.task.advance(s, first).newly == 0
 
 
+def test_a_bite_is_taken_with_the_bowl_from_its_middle_to_its_tip(envs):
+    """Against many points of the bowl that touches. The face is solid: a straight spoon's middle stays 3.6 cm away."""
+    task, model = envs["feeding"].task, scenes.build(scenes.SCENES["feeding"]).compile()
+    of_tool = model.geom_bodyid == model.body("tool").id
+    [half] = model.geom_size[of_tool & (model.geom_contype > 0)]
+    s = dict(envs["feeding"].sensors(envs["feeding"].reset(jax.random.key(0))[1].physics))
+    mouth, loaded = np.array(s["mouth_pos"], float), dataclasses.replace(task.reset(None), loaded=jnp.bool_(True))
+
+    @jax.jit
+    def eats(pos, quat):
+        return task.advance(s | {"tool_pos": pos, "tool_quat": quat}, loaded).mouth_seconds > 0
+
+    rng, said = np.random.default_rng(0), []
+    for _ in range(100):
+        quat, matrix = rng.normal(size=4), np.empty(9)
+        quat /= np.linalg.norm(quat)
+        mujoco.mju_quat2Mat(matrix, quat)
+        tip = matrix.reshape(3, 3)[:, 2]
+        pos = mouth + rng.normal(size=3) * 0.025
+        nearest = np.linalg.norm(pos + np.linspace(0, half[2], 500)[:, None] * tip - mouth, axis=1).min()
+        if abs(nearest - 0.03) > 1e-4:
+            said.append(bool(eats(pos, quat)))
+            assert said[-1] == (nearest < 0.03)
+        assert eats(mouth - half[2] * tip, quat) and not eats(mouth + half[2] * tip, quat)
+    assert 20 < sum(said) < len(said) - 20
+
+
 def test_feeding_succeeds_only_with_the_food_on_the_spoon(envs):
     env = envs["feeding"]
     task = env.task

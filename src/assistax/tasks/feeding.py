@@ -23,7 +23,8 @@ class FeedingConfig:
     speed: float = 0.20  # m/s, v*_app far from the mouth
     force: float = 1.0  # N, f* of the contact term
     # What counts as feeding, and for how long in all it must last to be a success.
-    mouth_distance: float = 0.03  # m
+    mouth_distance: float = 0.03  # m, from the bowl, between its middle (the tool point) and its tip
+    bowl: float = 0.036  # m, from middle to tip: as near as the middle gets to a face from the front
     success_seconds: float = 0.5
     # The arm starts with the spoon hanging down. Food is on the spoon once it has been level, and is
     # lost when the spoon then tips too far while still away from the mouth.
@@ -73,12 +74,13 @@ class Feeding:
 
     def advance(self, s: Sensors, state: FeedingState) -> FeedingState:
         c = self.config
-        upright = -spatial.matrix(s["tool_quat"])[2, 0]  # cosine of the tilt
-        distance = norm(s["mouth_pos"] - s["tool_pos"])
+        tool, vector = spatial.matrix(s["tool_quat"]), s["mouth_pos"] - s["tool_pos"]
+        upright, tip = -tool[2, 0], tool[:, 2]  # cosine of the tilt; unit vector
+        from_bowl = norm(vector - tip * jnp.clip(vector @ tip, 0.0, c.bowl))
         loaded = state.loaded | (upright > jnp.cos(c.level_angle))
-        tipped = (upright < jnp.cos(c.spill_angle)) & (distance > c.spill_distance)
+        tipped = (upright < jnp.cos(c.spill_angle)) & (norm(vector) > c.spill_distance)
         spilled = state.spilled | (loaded & tipped)
-        eating = loaded & ~spilled & (distance < c.mouth_distance)
+        eating = loaded & ~spilled & (from_bowl < c.mouth_distance)
         return FeedingState(loaded, spilled, state.mouth_seconds + self.dt * eating)
 
     def outcomes(self, state: FeedingState):
