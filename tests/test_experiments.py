@@ -54,7 +54,8 @@ def test_names_are_unique_and_chosen_by_pattern():
         "scratch-masac-paper-6M-1",
     ]
     assert len(choose_experiments("*-ippo-paper-40M-?", 2)) == 10
-    assert len(choose_experiments("*-masac-default-3M-0", 1)) == len(choose_experiments("*-mappo-default-5M-0", 1)) == 5
+    assert len(choose_experiments("*-masac-default-3M-0", 1)) == 5
+    assert len(choose_experiments("*-mappo-default-10M-0", 1)) == 5
     assert len(choose_experiments("feeding-*-default-preferences-*-0", 1)) == 5  # every algorithm
     with pytest.raises(UsageError, match="No experiment is called 'scrach'"):
         choose_experiments("scrach", 1)

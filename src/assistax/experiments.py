@@ -19,7 +19,7 @@ from assistax.learning.checkpoint import write_atomically
 from assistax.learning.presets import TASKS
 
 ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
-STEPS = {"paper": 40_000_000, "default": 5_000_000}  # of PPO by preset; ours take some ten minutes on a laptop
+STEPS = {"paper": 40_000_000, "default": 10_000_000}  # of PPO by preset; ours take half an hour at most
 SAC_STEPS = {"paper": 6_000_000, "default": 3_000_000}
 PEOPLE: dict[str, dict[str, Any]] = {  # by suffix of the experiment's name
     "": {},
