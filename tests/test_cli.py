@@ -173,10 +173,16 @@ def test_tasks_doctor_and_bench_answer(tmp_path):
     assert wanted | {"engine", "num_envs", "versions", "hardware"} <= set(speed)
 
 
+def children_seconds():
+    """Of processor, so that a busy machine is not taken for slow code."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
 def test_help_is_instant_and_teaches():
-    began = time.monotonic()
+    used = children_seconds()
     text = assistax("train", "--help").stdout
-    assert time.monotonic() - began < 3.0
+    assert children_seconds() - used < 2.0
     assert "For example" in text and "--resume" in text
     imported = subprocess.run(
         [
