@@ -189,6 +189,13 @@ seeds; a row with one seed has none. Written from `results/` by `python -m assis
 ![Learning curves](images/learning_curves.png)
 
 The curves are of those that were evaluated while they trained, too.
+
+## With an earlier preset
+
+What is not trained yet as above: `results/earlier-preset/`. Success in feeding was harder there, see
+[results/README.md](../results/README.md).
+
+{earlier}
 """
 
 
@@ -199,7 +206,9 @@ def results(folder: Path, curves: Path) -> str:
     evaluated = [e for e in found if all(run.rows("evaluations") for run in e.runs)]
     learning_curves(evaluated, references, source="evaluation").savefig(curves)
     text = "\n\n".join(markdown(*each) for each in tables(said))
-    return RESULTS_PAGE.format(tables=text, remarks="\n".join(f"- {remark}" for remark in said["remarks"]))
+    earlier, *_ = tables(report(experiments(find_runs((folder / "earlier-preset",))), references, compare=False))
+    remarks = "\n".join(f"- {remark}" for remark in said["remarks"])
+    return RESULTS_PAGE.format(tables=text, remarks=remarks, earlier=markdown(*earlier))
 
 
 # By name where each goes and what makes it.
