@@ -192,7 +192,7 @@ The curves are of those that were evaluated while they trained, too.
 
 ## With an earlier preset
 
-What is not trained yet as above: `results/earlier-preset/`. Success in feeding was harder there, see
+All runs of `results/earlier-preset/`; some are not trained as above yet. Success in feeding was harder there, see
 [results/README.md](../results/README.md).
 
 {earlier}
