@@ -1,6 +1,7 @@
 """PPO and its parts, against numbers worked by hand, loops in NumPy and games whose optimum is known."""
 
 import time
+from dataclasses import replace
 from functools import cache, partial
 
 import jax
@@ -15,7 +16,7 @@ from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
 from assistax.learning.gae import gae
 from assistax.learning.networks import gaussian_entropy, gaussian_log_prob, init_mlp, mlp, remember
 from assistax.learning.normalizer import init_stats, normalize, update_stats
-from assistax.learning.ppo import PPO, PPOConfig, clip_networks, clipped_policy_loss
+from assistax.learning.ppo import PPO, PPOConfig, clip_networks, clipped_policy_loss, next_pace
 from assistax.learning.presets import PRESETS, preset
 from assistax.learning.sac import SACConfig
 from assistax.learning.seats import Partner, Seats
@@ -47,6 +48,14 @@ def test_gradient_is_clipped_per_network():
     clipped = clip_networks(grads, 1.0)["robot"]
     np.testing.assert_allclose(clipped["actor"]["w"], [0.6, 0.8], rtol=1e-5)
     np.testing.assert_allclose(clipped["critic"][0], [0.3, 0.4], rtol=1e-5)
+
+
+def test_pace_by_hand():
+    """Within a factor of two of the desired KL it stays; beyond, it changes by half; it never exceeds 1."""
+    kl = jnp.array([0.041, 0.039, 0.011, 0.009])
+    np.testing.assert_allclose(next_pace(jnp.full(4, 0.3), kl, 0.02), [0.2, 0.3, 0.3, 0.45], rtol=1e-6)
+    np.testing.assert_allclose(next_pace(jnp.full(4, 0.9), kl, 0.02), [0.6, 0.9, 0.9, 1.0], rtol=1e-6)
+    np.testing.assert_array_equal(next_pace(jnp.ones(4), kl, 0.0), jnp.ones(4))
 
 
 def test_gaussian_against_scipy():
@@ -283,6 +292,29 @@ def test_the_first_batch_is_seen_with_its_own_statistics_later_ones_with_the_rol
     assert counts == [32, 32, 64] and int(state.normalizer["human"].count) == 96
 
 
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_policy_that_moves_further_than_desired_is_slowed_down_and_its_critic_is_not(shared):
+    quick = {"num_steps": 16, "num_minibatches": 4, "hidden": (8,), "share_parameters": shared, "learning_rate": 3e-2}
+    moved = {}
+    for desired in (0.0, 0.005):
+        _, state, stats, _ = trained(Meeting(), 60, 16, desired_kl=desired, **quick)
+        moved[desired] = float(stats["robot"]["approx_kl"])
+        assert set(state.pace) == set(state.params)
+        assert all((pace < 1.0) == (desired > 0.0) for pace in state.pace.values())
+    assert moved[0.005] < 0.015 and moved[0.0] > 3 * moved[0.005], moved
+
+    ppo, state, _, batch = trained(Meeting(), 1, 16, **quick)
+    stopped = next(iter(state.pace))
+    after, _ = jax.jit(ppo.improve)(replace(state, pace=state.pace | {stopped: jnp.float32(0.0)}), batch)
+    moved = {
+        (name, network): any(jax.tree.leaves(jax.tree.map(lambda x, y: bool((x != y).any()), before, then)))
+        for name in state.params
+        for network, before in state.params[name].items()
+        for then in [after.params[name][network]]
+    }
+    assert not moved.pop((stopped, "actor")) and all(moved.values()), moved
+
+
 def test_a_shared_network_has_no_dummy_dimensions():
     """Entropy and log-probability of the human, who has one action, know nothing of the robot's second."""
     ppo = PPO(Meeting(), PPOConfig(num_steps=8, num_minibatches=1, share_parameters=True), 4, 1)
@@ -453,6 +485,7 @@ def test_tuned_settings_stand_in_for_those_of_the_configuration():
     """All at once as the configuration has them; each that is the default instead makes a difference."""
     others = {"learning_rate": 3e-2, "clip_eps": 0.05, "entropy_coef": 0.1, "value_coef": 2.0, "gamma": 0.5}
     others |= {"gae_lambda": 0.3, "max_grad_norm": 0.1, "initial_log_std": -1.0, "noise_correlation": 0.9}
+    others |= {"desired_kl": 1e-3}
     assert set(others) == tunable(PPOConfig())
     quick = {"num_steps": 10, "num_minibatches": 2, "update_epochs": 2, "hidden": (8,)}
 

@@ -7,6 +7,7 @@ state and on that memory, and on nothing else. One iteration is `collect`, then 
 functions of a TrainState, to be jitted and, over seeds, vmapped.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -45,6 +46,7 @@ class PPOConfig:
     share_parameters: bool = False  # one actor and one critic for all learners, told who they are
     learning_rate: float = 3e-4
     anneal_learning_rate: bool = False  # linearly to zero over the run
+    desired_kl: float = 0.0  # of an iteration: actors that move further learn slower from then on; 0: none
     num_steps: int = 64  # per environment and iteration
     update_epochs: int = 8
     num_minibatches: int = 16
@@ -74,6 +76,8 @@ class PPOConfig:
                 raise UsageError(f"ppo.{name} must be in [0, 1], not {getattr(self, name)}.")
         if not 0 <= self.noise_correlation < 1:
             raise UsageError(f"ppo.noise_correlation must be in [0, 1), not {self.noise_correlation}.")
+        if not 0 <= self.desired_kl < math.inf:
+            raise UsageError(f"ppo.desired_kl must be 0 (none) or above, not {self.desired_kl}.")
         if not all(size > 0 for size in self.hidden) or (not self.hidden and (self.recurrent or self.share_parameters)):
             raise UsageError(f"ppo.hidden must be the sizes of one layer or more, not {self.hidden}.")
         choose("activation", self.activation, ACTIVATIONS)
@@ -85,6 +89,7 @@ class TrainState:
 
     params: dict[str, Any]  # learner, or "shared" -> {"actor": Network with "log_std", "critic": Network}
     opt_state: Any
+    pace: dict[str, jax.Array]  # by name in params, its actor's learning rate as a fraction of the configuration's
     normalizer: dict[str, Any]  # what is seen, see PPO._views -> RunningStats
     env_state: Any  # [num_envs, ...]
     obs: dict[str, jax.Array]  # agent -> [num_envs, n]
@@ -150,6 +155,7 @@ class PPO:
         return TrainState(
             params=params,
             opt_state=self._adam.init(params),
+            pace={name: jnp.ones(()) for name in params},
             normalizer=normalizer,
             env_state=env_state,
             obs=obs,
@@ -327,7 +333,9 @@ class PPO:
             if c.anneal_learning_rate:
                 rate *= 1.0 - opt_state[0].count / self._updates
             updates, opt_state = self._adam.update(clip_networks(grads, c.max_grad_norm), opt_state)
-            return (optax.apply_updates(params, optax.tree.scale(rate, updates)), opt_state), stats
+            rates = {name: {"actor": rate * pace, "critic": rate} for name, pace in state.pace.items()}
+            updates = jax.tree.map(optax.tree.scale, rates, updates)
+            return (optax.apply_updates(params, updates), opt_state), stats
 
         def epoch(carry, key):
             ids = jax.random.permutation(key, sequences).reshape(c.num_minibatches, -1)
@@ -337,14 +345,20 @@ class PPO:
         carry = (state.params, state.opt_state)
         (params, opt_state), stats = jax.lax.scan(epoch, carry, jax.random.split(epoch_key, c.update_epochs))
         stats = jax.tree.map(jnp.mean, stats)
+        kl = {agent: stats[agent]["approx_kl"] for agent in self.learners}
+        if c.share_parameters:
+            kl = {"shared": sum(kl.values()) / len(kl)}
+        pace = {name: next_pace(state.pace[name], kl[name], c.desired_kl) for name in kl}
         for agent, networks in self._networks(params).items():
             value, target = samples[agent]["value"], samples[agent]["target"]
             stats[agent]["explained_variance"] = 1.0 - jnp.var(target - value) / (jnp.var(target) + 1e-8)
             stats[agent]["std"] = jnp.exp(networks["actor"]["log_std"]).mean()
+            stats[agent]["pace"] = pace["shared" if c.share_parameters else agent]
         state = replace(
             state,
             params=params,
             opt_state=opt_state,
+            pace=pace,
             normalizer=informed,
             key=key,
             iteration=state.iteration + 1,
@@ -388,6 +402,17 @@ def clipped_policy_loss(log_ratio: jax.Array, advantage: jax.Array, clip_eps: fl
     ratio = jnp.exp(log_ratio)
     clipped = jnp.clip(ratio, 1.0 - clip_eps, 1.0 + clip_eps)
     return -jnp.minimum(ratio * advantage, clipped * advantage).mean()
+
+
+def next_pace(pace: jax.Array, kl: jax.Array, desired_kl: float | jax.Array) -> jax.Array:
+    """How fast an actor learns next, in (0, 1], when an iteration has moved it by `kl`.
+
+    A third slower if that is more than twice the desired, half as much again faster if less than half, as Schulman
+    et al. (2017, section 4) adapt their penalty. The same rate moves a policy further as its noise shrinks.
+    """
+    desired = jnp.where(desired_kl > 0, desired_kl, jnp.inf)
+    change = jnp.where(kl > 2.0 * desired, 1 / 1.5, jnp.where(kl < 0.5 * desired, 1.5, 1.0))
+    return jnp.clip(pace * change, 1e-3, 1.0)
 
 
 def clip_networks(grads: dict, max_norm: float) -> dict:
