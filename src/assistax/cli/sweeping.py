@@ -53,7 +53,7 @@ def sweep(
       share_parameters: one network for both, told who it plays; ippo and mappo.
       configs: how many configurations are drawn (default 168, as in the paper).
       seeds: how many times each is trained (default 12, as in the paper).
-      steps: environment steps per trial (default 3 million).
+      steps: environment steps per trial (default 6 million).
       num_envs: environments side by side, per trial (default 256; 1024 with the paper's preset of ippo and mappo).
       seed: of the draw, and the first one to train with (default 0).
       engine: auto (default), mujoco, warp or mjx.

@@ -47,7 +47,7 @@ def train(
       algorithm: ippo (default), mappo, masac or isac.
       recurrent: networks with memory (GRU); ippo and mappo.
       share_parameters: one network for both, told who it plays; ippo and mappo.
-      steps: environment steps per seed (default 3 million; the paper trains for 40 million).
+      steps: environment steps per seed (default 6 million; the paper trains for 40 million).
       num_envs: environments side by side, per seed (default 256; 1024 with the paper's preset of ippo and mappo).
       seed: first random seed (default 0).
       num_seeds: independent runs in one program, with seeds S, S+1, ... (default 1).
