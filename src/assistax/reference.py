@@ -139,6 +139,9 @@ figures for its own implementation on an A100 with 1024 environments. An environ
 here and 0.1 s of 5 there, so that there are three ratios:
 
 {others}
+
+Several trainings at once go faster with a core each, on Linux `taskset -c 0 uv run assistax train …`: two of 10 M steps
+side by side took 26 minutes, where one with both cores takes 17 (looked at once).
 """
 ASSISTIVE_GYM = {"scratch": 301, "bed_bath": 138, "arm_assist": 217, "feeding": 326}  # env steps/s
 PAPER_A100 = {"scratch": 31_698, "bed_bath": 39_945, "arm_assist": 39_154}  # env steps/s, its table of speeds
@@ -189,13 +192,6 @@ seeds; a row with one seed has none. Written from `results/` by `python -m assis
 ![Learning curves](images/learning_curves.png)
 
 The curves are of those that were evaluated while they trained, too.
-
-## With an earlier preset
-
-All runs of `results/earlier-preset/`; some are not trained as above yet. Success in feeding was harder there, see
-[results/README.md](../results/README.md).
-
-{earlier}
 """
 
 
@@ -206,9 +202,8 @@ def results(folder: Path, curves: Path) -> str:
     evaluated = [e for e in found if all(run.rows("evaluations") for run in e.runs)]
     learning_curves(evaluated, references, source="evaluation").savefig(curves)
     text = "\n\n".join(markdown(*each) for each in tables(said))
-    earlier, *_ = tables(report(experiments(find_runs((folder / "earlier-preset",))), references, compare=False))
     remarks = "\n".join(f"- {remark}" for remark in said["remarks"])
-    return RESULTS_PAGE.format(tables=text, remarks=remarks, earlier=markdown(*earlier))
+    return RESULTS_PAGE.format(tables=text, remarks=remarks)
 
 
 # By name where each goes and what makes it.
