@@ -202,8 +202,7 @@ def results(folder: Path, curves: Path) -> str:
     evaluated = [e for e in found if all(run.rows("evaluations") for run in e.runs)]
     learning_curves(evaluated, references, source="evaluation").savefig(curves)
     text = "\n\n".join(markdown(*each) for each in tables(said))
-    remarks = "\n".join(f"- {remark}" for remark in said["remarks"])
-    return RESULTS_PAGE.format(tables=text, remarks=remarks)
+    return RESULTS_PAGE.format(tables=text, remarks="\n".join(f"- {remark}" for remark in said["remarks"]))
 
 
 # By name where each goes and what makes it.

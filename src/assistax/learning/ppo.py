@@ -46,7 +46,7 @@ class PPOConfig:
     share_parameters: bool = False  # one actor and one critic for all learners, told who they are
     learning_rate: float = 3e-4
     anneal_learning_rate: bool = False  # linearly to zero over the run
-    desired_kl: float = 0.0  # of an iteration: actors that move further learn slower from then on; 0: none
+    desired_kl: float = 0.0  # of an iteration: actors that move over twice as far slow down, see next_pace; 0: none
     num_steps: int = 64  # per environment and iteration
     update_epochs: int = 8
     num_minibatches: int = 16
@@ -407,8 +407,8 @@ def clipped_policy_loss(log_ratio: jax.Array, advantage: jax.Array, clip_eps: fl
 def next_pace(pace: jax.Array, kl: jax.Array, desired_kl: float | jax.Array) -> jax.Array:
     """How fast an actor learns next, in (0, 1], when an iteration has moved it by `kl`.
 
-    A third slower if that is more than twice the desired, half as much again faster if less than half, as Schulman
-    et al. (2017, section 4) adapt their penalty. The same rate moves a policy further as its noise shrinks.
+    A third slower if that is more than twice the desired, half as much again faster if less than half; so Schulman
+    et al. (2017, section 4) adapt a penalty. The same rate moves a policy further as its noise shrinks.
     """
     desired = jnp.where(desired_kl > 0, desired_kl, jnp.inf)
     change = jnp.where(kl > 2.0 * desired, 1 / 1.5, jnp.where(kl < 0.5 * desired, 1.5, 1.0))
