@@ -347,10 +347,14 @@ def test_a_frozen_actor_acts_exactly_as_in_the_run_that_trained_it(variant):
         np.testing.assert_allclose(log_prob, batch["log_probs"]["human"][t], atol=1e-5)
 
 
-def test_exploration_is_correlated_within_episodes_alike_in_training_and_as_a_partner():
-    config = PPOConfig(num_steps=9, num_minibatches=1, hidden=(8,), noise_correlation=0.8, stagger=False)
-    ppo = PPO(Meeting(), config, 2000, 1)
-    state, batch = jax.jit(ppo.collect)(jax.jit(ppo.init)(jax.random.key(0)))
+@pytest.mark.parametrize("iteration, correlation", [(0, 0.8), (1, 0.8), (2, 0.0)])
+def test_exploration_is_correlated_within_episodes_alike_in_training_and_as_a_partner(iteration, correlation):
+    """For as many steps as it is asked to, here two iterations."""
+    config = PPOConfig(num_steps=9, num_minibatches=1, hidden=(8,), stagger=False)
+    config = replace(config, noise_correlation=0.8, correlated_steps=2 * 9 * 2000)
+    ppo = PPO(Meeting(), config, 2000, total_iterations=iteration + 1)
+    state = replace(jax.jit(ppo.init)(jax.random.key(0)), iteration=jnp.int32(iteration))
+    state, batch = jax.jit(ppo.collect)(state)
     policy, params = ppo.policy(deterministic=False), ppo.policy_params(state)
 
     def play(carry, now):
@@ -364,7 +368,7 @@ def test_exploration_is_correlated_within_episodes_alike_in_training_and_as_a_pa
     for actions in (batch["actions"]["human"], played):  # a fresh actor's mean is near zero
         np.testing.assert_allclose(actions.std(1), 1.0, atol=0.06)
         for t in range(8):
-            expected = 0.0 if t == 4 else 0.8  # the first episode has five steps
+            expected = 0.0 if t == 4 else correlation  # the first episode has five steps
             assert abs(np.corrcoef(actions[t, :, 0], actions[t + 1, :, 0])[0, 1] - expected) < 0.07
 
 

@@ -61,6 +61,7 @@ class PPOConfig:
     activation: str = "tanh"
     initial_log_std: float = 0.0
     noise_correlation: float = 0.0  # of the exploration from step to step; log-probabilities are of each by itself
+    correlated_steps: int = 0  # environment steps after which that is 0, as long runs need; 0: never
     normalize_obs: bool = True
     stagger: bool = True  # start the environments at different times of their episodes
 
@@ -76,6 +77,8 @@ class PPOConfig:
                 raise UsageError(f"ppo.{name} must be in [0, 1], not {getattr(self, name)}.")
         if not 0 <= self.noise_correlation < 1:
             raise UsageError(f"ppo.noise_correlation must be in [0, 1), not {self.noise_correlation}.")
+        if self.correlated_steps < 0:
+            raise UsageError(f"ppo.correlated_steps must be 0 (all of the run) or more, not {self.correlated_steps}.")
         if not 0 <= self.desired_kl < math.inf:
             raise UsageError(f"ppo.desired_kl must be 0 (none) or above, not {self.desired_kl}.")
         if not all(size > 0 for size in self.hidden) or (not self.hidden and (self.recurrent or self.share_parameters)):
@@ -108,7 +111,7 @@ class PPO:
     Args:
       env: anything with the interface of `assistax.env.Env`.
       num_envs: environments stepped side by side.
-      total_iterations: length of the run, for learning-rate annealing.
+      total_iterations: length of the run: what learning-rate annealing needs, and how `policy` explores.
       partners: by agent, who plays the seats that do not learn.
     """
 
@@ -135,6 +138,7 @@ class PPO:
             )
         self._adam = optax.adam(1.0, eps=1e-5)  # its steps are multiplied by the learning rate
         self._updates = total_iterations * config.update_epochs * config.num_minibatches
+        self._last_iteration = total_iterations - 1
         self._critic_sees = {agent: "global" if config.central_critic else agent for agent in self.learners}
         self._units = config.hidden[0] if config.recurrent else 0  # of memory
         self._sizes = {agent: env.observation_sizes[agent] for agent in self.learners}
@@ -214,11 +218,17 @@ class PPO:
             return views
         return {view: normalize(normalizer[view], x) for view, x in views.items()}
 
+    def _noise_correlation(self, c, iteration):
+        """Of the exploration in this iteration: correlated noise finds the way, but misleads in the end."""
+        correlated = not c.correlated_steps or iteration < c.correlated_steps / self.steps_per_iteration
+        return c.noise_correlation * correlated
+
     def policy(self, deterministic: bool = True) -> Actor:
-        """What plays the learners' seats, with `policy_params`, outside of training."""
+        """What plays the learners' seats, with `policy_params`, outside of training: explores as the run ends."""
         c = self.config
         longest = max(self.env.action_sizes[agent] for agent in self.learners)
-        return Actor(c.activation, c.normalize_obs, deterministic, self._units, c.noise_correlation, longest)
+        correlation = self._noise_correlation(c, self._last_iteration)
+        return Actor(c.activation, c.normalize_obs, deterministic, self._units, correlation, longest)
 
     def policy_params(self, state: TrainState) -> dict[str, Any]:
         """By learner, parameters for `policy`; of `state` only params and normalizer are read."""
@@ -230,6 +240,7 @@ class PPO:
         env, c = self.env, overlaid(self.config, state.tuned)
         networks = self._networks(state.params)
         global_obs = jax.vmap(env.global_obs) if c.central_critic else lambda _: None
+        correlation = self._noise_correlation(c, state.iteration)
 
         def play(carry, key):
             env_state, obs, reset, memory, noise, seated, t = carry
@@ -241,7 +252,7 @@ class PPO:
             for agent, action_key in zip(self.learners, action_keys, strict=True):
                 actor = networks[agent]["actor"]
                 mean, memory[agent] = step(actor, seen[agent], memory[agent], reset, c.activation)
-                noise[agent] = next_noise(noise[agent], reset, c.noise_correlation, action_key)
+                noise[agent] = next_noise(noise[agent], reset, correlation, action_key)
                 actions[agent] = mean + jnp.exp(actor["log_std"]) * noise[agent]
                 log_probs[agent] = gaussian_log_prob(actions[agent], mean, actor["log_std"])
             step_keys = jax.random.split(step_key, self.num_envs)
