@@ -53,7 +53,7 @@ def test_names_are_unique_and_chosen_by_pattern():
         "scratch-masac-paper-6M-0",
         "scratch-masac-paper-6M-1",
     ]
-    assert len(choose_experiments("*-ippo-paper-40M-?", 2)) == 10
+    assert len(choose_experiments("*-ippo-paper-40M-?", 2)) == len(choose_experiments("*-ippo-default-40M-?", 2)) == 10
     assert len(choose_experiments("*-masac-default-3M-0", 1)) == 5
     assert len(choose_experiments("*-mappo-default-10M-0", 1)) == 5
     assert len(choose_experiments("feeding-*-default-preferences-*-0", 1)) == 5  # every algorithm
