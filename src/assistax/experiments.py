@@ -75,7 +75,7 @@ class Training:
         else:
             algorithm, _, memory = self.algorithm.partition("-")
             choices = {"algorithm": algorithm, "recurrent": bool(memory), "preset": self.preset}
-            settings = PEOPLE[self.people] | {"evaluations": max(20, self.steps // 500_000)}
+            settings = PEOPLE[self.people] | {"evaluations": max(20, self.steps // 1_000_000)}
             run = Run.create(configure(self.task, settings, steps=self.steps, seed=self.seed, **choices), work)
         if run.train(seconds) is None:
             return None
