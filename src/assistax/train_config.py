@@ -15,7 +15,7 @@ from assistax.physics import resolve_engine
 from assistax.stamp import stamp
 from assistax.tasks import task_class
 
-DEFAULT_STEPS = 6_000_000
+DEFAULT_STEPS = 5_000_000
 # By algorithm its trainer and the group of its settings in TrainConfig.
 TRAINERS = {
     "ippo": (PPO, "ppo"),
