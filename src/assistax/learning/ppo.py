@@ -219,7 +219,7 @@ class PPO:
         return {view: normalize(normalizer[view], x) for view, x in views.items()}
 
     def _noise_correlation(self, c, iteration):
-        """Of the exploration in this iteration: correlated noise finds the way, but misleads in the end."""
+        """Of the exploration in this iteration: correlated noise finds the way, then disturbs."""
         correlated = not c.correlated_steps or iteration < c.correlated_steps / self.steps_per_iteration
         return c.noise_correlation * correlated
 
