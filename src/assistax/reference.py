@@ -191,16 +191,23 @@ seeds; a row with one seed has none. Written from `results/` by `python -m assis
 
 ![Learning curves](images/learning_curves.png)
 
+Longer runs by themselves:
+
+![Learning curves of longer runs](images/learning_curves_long.png)
+
 The curves are of those that were evaluated while they trained, too.
 """
+SHORT = 10_000_000  # steps; beside longer runs one could not see how these learn
 
 
-def results(folder: Path, curves: Path) -> str:
-    """The page of the trained teams; their learning curves go to the picture `curves`."""
+def results(folder: Path, pictures: Path) -> str:
+    """The page of the trained teams; their learning curves go to the folder `pictures`."""
     found, references = experiments(find_runs((folder,))), read_references()
     said = report(found, references, compare=False)
     evaluated = [e for e in found if all(run.rows("evaluations") for run in e.runs)]
-    learning_curves(evaluated, references, source="evaluation").savefig(curves)
+    for name, long in {"learning_curves": False, "learning_curves_long": True}.items():
+        shown = [e for e in evaluated if (e.method.steps > SHORT) == long]
+        learning_curves(shown, references, source="evaluation").savefig(pictures / f"{name}.png")
     text = "\n\n".join(markdown(*each) for each in tables(said))
     return RESULTS_PAGE.format(tables=text, remarks="\n".join(f"- {remark}" for remark in said["remarks"]))
 
@@ -210,10 +217,7 @@ PAGES = {
     "measure": (Path("results/experts.json"), lambda: json.dumps(measure(), indent=1) + "\n"),
     "experts": (Path("docs/experts.md"), lambda: experts(read_references())),
     "speed": (Path("docs/speed.md"), lambda: speed(Path("results/bench"))),
-    "results": (
-        Path("docs/results.md"),
-        lambda: results(Path("results"), Path("docs/images/learning_curves.png")),
-    ),
+    "results": (Path("docs/results.md"), lambda: results(Path("results"), Path("docs/images"))),
 }
 
 if __name__ == "__main__":
