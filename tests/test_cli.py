@@ -72,6 +72,14 @@ def test_evaluate_as_json(run):
     assert low <= report["mean_return"] <= high
 
 
+def test_crossplay_says_who_can_work_with_whom(run, tmp_path):
+    picture = tmp_path / "matrix.png"
+    text = assistax("crossplay", run, "still", "--episodes", 2, "--out", picture).stdout
+    rows = [line.split() for line in text.splitlines()]
+    assert rows[1][:2] == ["1", run.name] and rows[2][:2] == ["2", "still"] and len(rows[1]) == 6
+    assert "cross-play" in text and picture.stat().st_size > 500
+
+
 def test_several_seeds_are_the_runs_of_each_seed_alone(run, tmp_path):
     both = tmp_path / "both"
     assistax("train", "scratch", "--steps", 128, "--num-seeds", 2, "--out", both, *SMALL)
@@ -121,6 +129,11 @@ def test_an_interrupted_run_goes_on(tmp_path):
         (["render", "scratch", "--policy", "still", "--out", "no/such/a.mp4"], "does not exist"),
         (["render", "scratch", "--policy", "still", "--out", "a.gif"], "Can write .mp4, .webp, .png"),
         (["bench", "scratch", "--num-envs", "0"], "num_envs must be 1 or more"),
+        (["crossplay", "still", "expert"], "scripted teams alone"),
+        (["crossplay", "scratch"], "two teams or more"),
+        (["crossplay", "scratch", "feeding"], "one task"),
+        (["crossplay", "scratch", "nowhere"], "neither a run folder, nor a team file, nor a task"),
+        (["crossplay", "scratch", "still", "--out", "a.gif"], "Can write .png, .svg, .pdf"),
     ],
 )
 def test_bad_input_is_one_line_and_leaves_nothing_behind(args, words, refused, tmp_path, monkeypatch):

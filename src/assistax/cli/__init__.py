@@ -8,6 +8,7 @@ from typing import Any
 import tyro
 
 from assistax.cli.about import bench, doctor, humans, tasks
+from assistax.cli.crossing import crossplay
 from assistax.cli.playing import evaluate, export, gallery, play, render
 from assistax.cli.reproducing import reproduce
 from assistax.cli.results import plot, table
@@ -15,7 +16,10 @@ from assistax.cli.sweeping import sweep
 from assistax.cli.training import train
 from assistax.errors import AssistaxError
 
-COMMANDS = (train, sweep, play, evaluate, render, table, plot, export, gallery, reproduce, tasks, humans, doctor, bench)
+COMMANDS = (
+    *(train, sweep, play, evaluate, crossplay, render, table, plot),
+    *(export, gallery, reproduce, tasks, humans, doctor, bench),
+)
 
 
 def main() -> None:

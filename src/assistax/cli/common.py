@@ -60,3 +60,10 @@ def print_table(report: dict[str, Any], indent: str = "") -> None:
             elif isinstance(value, float):
                 value = f"{value:.4g}"
             print(f"{indent}{name:{28 - len(indent)}} {value}")
+
+
+def aligned(head: list[str], cells: list[list[str]]) -> str:
+    """A table in aligned columns."""
+    widths = [max(map(len, column)) for column in zip(head, *cells, strict=True)]
+    rows = (head, *cells)
+    return "\n".join("  ".join(f"{x:{w}}" for x, w in zip(row, widths, strict=True)).rstrip() for row in rows)

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from assistax.cli.common import Json, print_json
+from assistax.cli.common import Json, aligned, print_json
 from assistax.errors import UsageError
 
 Runs = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...")]
@@ -40,7 +40,7 @@ def table(runs: Runs = (), *, compare: bool = False, markdown: bool = False, jso
     if json:
         print_json(said)
         return
-    print("\n\n".join((as_markdown if markdown else _text)(*each) for each in tables(said)))
+    print("\n\n".join((as_markdown if markdown else aligned)(*each) for each in tables(said)))
     for remark in said["remarks"]:
         print(f"\n{remark}")
 
@@ -85,10 +85,3 @@ def plot(
     print(f"wrote {out}")
     for remark in differences(found):
         print(remark, file=sys.stderr)
-
-
-def _text(head: list[str], cells: list[list[str]]) -> str:
-    """A table in aligned columns."""
-    widths = [max(map(len, column)) for column in zip(head, *cells, strict=True)]
-    rows = (head, *cells)
-    return "\n".join("  ".join(f"{x:{w}}" for x, w in zip(row, widths, strict=True)).rstrip() for row in rows)

@@ -1,0 +1,90 @@
+"""`assistax crossplay`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from assistax.cli.common import Json, Set, aligned, print_json, teams_of
+from assistax.errors import UsageError
+
+Targets = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN|TASK|POLICY ...")]
+
+
+def crossplay(
+    targets: Targets,
+    *,
+    episodes: int = 64,
+    engine: str | None = None,
+    seed: int | None = None,
+    set: Set = (),
+    out: Path | None = None,
+    json: Json = False,
+) -> None:
+    """Let the robot of every team play with the person of every team, as in the paper's cross-play matrices.
+
+    Prints return and success by pair, a row per robot and a column per person. The person brings body and preferences
+    along: a pair plays in the environment of the person's team.
+
+    For example:
+      assistax crossplay runs/scratch-ippo-0 runs/scratch-mappo-0
+      assistax crossplay scratch runs/scratch-ippo-0 still expert --out crossplay.png
+
+    Args:
+      targets: teams of one task: run folders (each seed is a team), team files, a task (the trained team that comes
+        with it), or scripted teams (still, random, expert, considerate, offer, withdraw).
+      episodes: of each pair.
+      engine: auto, mujoco, warp or mjx (default: as the run, else auto).
+      seed: of the episodes' draws; fixed unless given.
+      set: change any setting of all teams, as in `assistax evaluate`.
+      out: a .png, .svg or .pdf of the matrix of returns.
+      json: print JSON instead of a table.
+    """
+    from assistax.evaluation import EVALUATION_SEED
+    from assistax.figures import check_format
+    from assistax.stamp import stamp
+    from assistax.teamwork.crossplay import cross_play, picture
+
+    if out is not None:
+        check_format(out)
+    said = cross_play(_entrants(targets, engine, set), episodes, EVALUATION_SEED if seed is None else seed)
+    if out is not None:
+        picture(said).savefig(out)
+    if json:
+        print_json(said | stamp())
+        return
+    names, numbers = said["teams"], range(len(said["teams"]))
+    cells = [
+        [f"{i + 1} {names[i]}", *(_cell(said["return"][i][j], said["success"][i][j]) for j in numbers)] for i in numbers
+    ]
+    print(aligned(["robot of / person of", *(str(j + 1) for j in numbers)], cells))
+    print("\nReturn and success; with their own person and with others':")
+    for name in ("self_play", "cross_play"):
+        print(f"  {name.replace('_', '-'):11} {_cell(said[name]['return'], said[name]['success'])}")
+    if out is not None:
+        print(f"wrote {out}")
+
+
+def _cell(value: float, success: float) -> str:
+    return f"{value:.0f} ({success:.0%})"
+
+
+def _entrants(targets: tuple[str, ...], engine: str | None, assignments: tuple[str, ...]):
+    from assistax.policies import SCRIPTED, scripted_team
+    from assistax.tasks import TASKS
+    from assistax.teamwork.crossplay import Entrant
+
+    found = {}
+    for target in targets:
+        if target not in SCRIPTED:
+            env, teams, _ = teams_of(target, "trained" if target in TASKS else None, engine, assignments)
+            name = Path(target).stem if Path(target).is_file() else Path(target).name
+            names = [name] if len(teams) == 1 else [f"{name} {i + 1}" for i in range(len(teams))]
+            found[target] = [Entrant(name, env, team) for name, team in zip(names, teams, strict=True)]
+    if not found:
+        raise UsageError("Name a run folder, a team file or a task; scripted teams alone do not say what to do.")
+    env = next(iter(found.values()))[0].env
+    for target in targets:
+        if target in SCRIPTED:
+            found[target] = [Entrant(target, env, scripted_team(target, env))]
+    return [entrant for target in dict.fromkeys(targets) for entrant in found[target]]

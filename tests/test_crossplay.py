@@ -1,0 +1,66 @@
+"""Cross-play: every cell is its own pair, in the person's environment."""
+
+import numpy as np
+import pytest
+
+import assistax
+from assistax.errors import UsageError
+from assistax.evaluation import evaluate
+from assistax.policies import Actor, scripted_policy, scripted_team
+from assistax.teamwork.crossplay import Entrant, cross_play, picture
+
+EPISODES = 3
+
+
+def entrant(name, env):
+    return Entrant(name, env, scripted_team(name, env))
+
+
+def test_rows_are_robots_and_columns_persons_with_their_bodies(scratch):
+    """Against pairs put together by hand."""
+    trembling = assistax.make("scratch", engine="mujoco", episode_length=20, human={"disability": "tremor"})
+    report = cross_play([entrant("random", scratch), entrant("withdraw", trembling)], EPISODES)
+    assert report["teams"] == ["random", "withdraw"] and report["task"] == "scratch"
+    for i, robot in enumerate(("random", "expert")):
+        for j, (human, env) in enumerate((("random", scratch), ("withdraw", trembling))):
+            names = {"robot": robot, "human": human}
+            pair = {agent: (scripted_policy(name, env, agent), ()) for agent, name in names.items()}
+            wanted = evaluate(env, pair, EPISODES)
+            np.testing.assert_allclose(report["return"][i][j], wanted["mean_return"], rtol=1e-5)
+            np.testing.assert_allclose(report["force_in_contact"][i][j], wanted["force"]["mean_in_contact"], rtol=1e-4)
+            assert report["success"][i][j] == wanted["success_rate"]
+    (a, b), (c, d) = report["return"]
+    assert len({a, b, c, d}) == 4  # else rows and columns could not be told apart
+    np.testing.assert_allclose(report["self_play"]["return"], (a + d) / 2)
+    np.testing.assert_allclose(report["cross_play"]["return"], (b + c) / 2)
+
+
+def test_what_cannot_meet_is_one_line(scratch):
+    still = entrant("still", scratch)
+    with pytest.raises(UsageError, match="two teams"):
+        cross_play([still])
+    for settings, words in [
+        ({"task": "feeding"}, "task is scratch in still and feeding in expert"),
+        ({"torque_scale": 0.5}, "env.torque_scale is 0.3 in still and 0.5 in expert"),
+        ({"success_seconds": 1.0}, "task_config.success_seconds is 2.0 in still and 1.0 in expert"),
+    ]:
+        other = assistax.make(**{"task": "scratch", "engine": "mujoco", "episode_length": 20} | settings)
+        with pytest.raises(UsageError, match=words):
+            cross_play([still, entrant("expert", other)])
+    wishing = assistax.make("scratch", engine="mujoco", episode_length=20, human={"preference": "sweep"})
+    learned = Entrant("learned", scratch, scratch_team(scratch))
+    with pytest.raises(UsageError, match="The robot of learned observes"):
+        cross_play([learned, entrant("still", wishing)])
+
+
+def scratch_team(env):
+    params = {"actor": np.zeros(3), "normalizer": np.zeros(3)}
+    return {agent: (Actor(), params) for agent in env.agents}
+
+
+def test_the_picture_has_a_cell_per_pair():
+    report = {"task": "scratch", "teams": ["a", "b"], "return": [[4.0, 1.0], [2.0, 3.0]]}
+    axes = picture(report).axes[0]
+    assert [text.get_text() for text in axes.texts] == ["4", "1", "2", "3"]
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["a", "b"]
+    np.testing.assert_array_equal(axes.images[0].get_array(), report["return"])
