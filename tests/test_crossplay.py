@@ -59,8 +59,8 @@ def scratch_team(env):
 
 
 def test_the_picture_has_a_cell_per_pair():
-    report = {"task": "scratch", "teams": ["a", "b"], "return": [[4.0, 1.0], [2.0, 3.0]]}
+    report = {"task": "scratch", "teams": ["a", "b"], "return": [[40.0, 1.0], [2.0, 30.0]]}
     axes = picture(report).axes[0]
-    assert [text.get_text() for text in axes.texts] == ["4", "1", "2", "3"]
+    assert [text.get_text() for text in axes.texts] == ["40", "1", "2", "30"]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["a", "b"]
     np.testing.assert_array_equal(axes.images[0].get_array(), report["return"])

@@ -78,7 +78,7 @@ def _entrants(targets: tuple[str, ...], engine: str | None, assignments: tuple[s
     for target in targets:
         if target not in SCRIPTED:
             env, teams, _ = teams_of(target, "trained" if target in TASKS else None, engine, assignments)
-            name = Path(target).stem if Path(target).is_file() else Path(target).name
+            name = "trained" if target in TASKS else Path(target).name.removesuffix(".safetensors")
             names = [name] if len(teams) == 1 else [f"{name} {i + 1}" for i in range(len(teams))]
             found[target] = [Entrant(name, env, team) for name, team in zip(names, teams, strict=True)]
     if not found:

@@ -115,15 +115,17 @@ def _settings(env: Env) -> dict[str, Any]:
 def picture(report: dict[str, Any], metric: str = "return") -> Figure:
     """The matrix of a report as the paper draws it: a row per robot, a column per person."""
     matrix, names = np.array(report[metric]), report["teams"]
-    inches = max(3.0, 0.45 * len(names))
+    few = len(names) <= 8
+    inches = max(2.0, (0.6 if few else 0.25) * len(names))
     with rc_context(STYLE | {"axes.grid": False}):
-        figure = Figure(figsize=(inches + 1.6, inches), layout="constrained")
+        figure = Figure(figsize=(inches + 2.5, inches + 1.2), layout="constrained")
         axes = figure.subplots()
         low, high = min(0.0, matrix.min()), matrix.max()
         shown = axes.imshow(matrix, vmin=low, vmax=high)
-        for (i, j), value in np.ndenumerate(matrix) if len(names) <= 8 else ():
+        for (i, j), value in np.ndenumerate(matrix) if few else ():
             colour = "white" if value < (low + high) / 2 else "black"
-            axes.text(j, i, f"{value:.4g}", ha="center", va="center", size=8, color=colour)
+            words = f"{value:.0f}" if matrix.max() > 10 else f"{value:.2f}"
+            axes.text(j, i, words, ha="center", va="center", size=8, color=colour)
         axes.set_xticks(range(len(names)), names, rotation=45, ha="right")
         axes.set_yticks(range(len(names)), names)
         axes.set(xlabel="person of", ylabel="robot of", title=report["task"])
