@@ -7,7 +7,7 @@ import assistax
 from assistax.errors import UsageError
 from assistax.evaluation import evaluate
 from assistax.policies import Actor, scripted_policy, scripted_team
-from assistax.teamwork.crossplay import Entrant, cross_play, picture
+from assistax.teamwork.crossplay import Entrant, cross_play, picture, table
 
 EPISODES = 3
 
@@ -64,3 +64,12 @@ def test_the_picture_has_a_cell_per_pair():
     assert [text.get_text() for text in axes.texts] == ["40", "1", "2", "30"]
     assert [label.get_text() for label in axes.get_yticklabels()] == ["a", "b"]
     np.testing.assert_array_equal(axes.images[0].get_array(), report["return"])
+
+
+def test_the_table_names_rows_and_numbers_columns():
+    report = {"teams": ["a", "b"], "return": [[40.0, 1.0], [2.0, 30.0]], "success": [[1.0, 0.0], [0.5, 0.25]]}
+    report |= {"self_play": {"return": 35.0, "success": 0.625}, "cross_play": {"return": 1.5, "success": 0.25}}
+    head, cells = table(report)
+    assert head[1:] == ["1", "2"]
+    assert cells[:2] == [["1 a", "40 (100%)", "1 (0%)"], ["2 b", "2 (50%)", "30 (25%)"]]
+    assert [row[1] for row in cells[2:]] == ["35 (62%)", "2 (25%)"] and {len(row) for row in cells} == {3}

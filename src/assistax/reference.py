@@ -25,6 +25,7 @@ from assistax.learning.checkpoint import write_atomically
 from assistax.policies import scripted_team
 from assistax.results import experiments, find_runs
 from assistax.stamp import commit
+from assistax.teamwork import crossplay
 
 EPISODES = 64
 EXPERTS_PAGE = """# Scripted policies
@@ -196,6 +197,14 @@ Longer runs by themselves:
 ![Learning curves of longer runs](images/learning_curves_long.png)
 
 The curves are of those that were evaluated while they trained, too.
+
+## Cross-play
+
+Return, and success in brackets, when the robot of one team (row) meets the person of another (column);
+[findings.md](findings.md#who-can-work-with-whom) tells what that says. Self-play are the pairs that belong together.
+"trained" is the team that comes with the package, "expert" the scripted robot and a still person.
+
+{crossplay}
 """
 SHORT = 10_000_000  # steps; beside longer runs one could not see how these learn
 
@@ -208,8 +217,13 @@ def results(folder: Path, pictures: Path) -> str:
     for name, long in {"learning_curves": False, "learning_curves_long": True}.items():
         shown = [e for e in evaluated if (e.method.steps > SHORT) == long]
         learning_curves(shown, references, source="evaluation").savefig(pictures / f"{name}.png")
-    text = "\n\n".join(markdown(*each) for each in tables(said))
-    return RESULTS_PAGE.format(tables=text, remarks="\n".join(f"- {remark}" for remark in said["remarks"]))
+    files = [folder / "crossplay" / f"{task}.json" for task in BOUNDS]
+    meetings = [json.loads(path.read_text()) for path in files if path.exists()]
+    return RESULTS_PAGE.format(
+        tables="\n\n".join(markdown(*each) for each in tables(said)),
+        remarks="\n".join(f"- {remark}" for remark in said["remarks"]),
+        crossplay="\n\n".join(f"### {one['task']}\n\n{markdown(*crossplay.table(one))}" for one in meetings),
+    )
 
 
 # By name where each goes and what makes it.

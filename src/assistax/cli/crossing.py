@@ -43,7 +43,7 @@ def crossplay(
     from assistax.evaluation import EVALUATION_SEED
     from assistax.figures import check_format
     from assistax.stamp import stamp
-    from assistax.teamwork.crossplay import cross_play, picture
+    from assistax.teamwork.crossplay import cross_play, picture, table
 
     if out is not None:
         check_format(out)
@@ -53,20 +53,9 @@ def crossplay(
     if json:
         print_json(said | stamp())
         return
-    names, numbers = said["teams"], range(len(said["teams"]))
-    cells = [
-        [f"{i + 1} {names[i]}", *(_cell(said["return"][i][j], said["success"][i][j]) for j in numbers)] for i in numbers
-    ]
-    print(aligned(["robot of / person of", *(str(j + 1) for j in numbers)], cells))
-    print("\nReturn and success; with their own person and with others':")
-    for name in ("self_play", "cross_play"):
-        print(f"  {name.replace('_', '-'):11} {_cell(said[name]['return'], said[name]['success'])}")
+    print(aligned(*table(said)))
     if out is not None:
         print(f"wrote {out}")
-
-
-def _cell(value: float, success: float) -> str:
-    return f"{value:.0f} ({success:.0%})"
 
 
 def _entrants(targets: tuple[str, ...], engine: str | None, assignments: tuple[str, ...]):

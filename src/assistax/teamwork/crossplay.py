@@ -112,6 +112,21 @@ def _settings(env: Env) -> dict[str, Any]:
     )
 
 
+def table(report: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Head and cells of a report: return and success by pair, then with their own person and with the others'."""
+    names = report["teams"]
+    head = ["robot of / person of", *(str(j + 1) for j in range(len(names)))]
+    cells = []
+    for i, (name, *row) in enumerate(zip(names, report["return"], report["success"], strict=True)):
+        cells.append(
+            [f"{i + 1} {name}", *(f"{value:.0f} ({success:.0%})" for value, success in zip(*row, strict=True))]
+        )
+    for kind in ("self_play", "cross_play"):
+        said = f"{report[kind]['return']:.0f} ({report[kind]['success']:.0%})"
+        cells.append([f"{kind.replace('_', '-')}, mean", said, *[""] * (len(names) - 1)])
+    return head, cells
+
+
 def picture(report: dict[str, Any], metric: str = "return") -> Figure:
     """The matrix of a report as the paper draws it: a row per robot, a column per person."""
     matrix, names = np.array(report[metric]), report["teams"]
