@@ -104,7 +104,7 @@ class Expert:
         force += (DAMPING - PRESS_DAMPING) * goal.free * jnp.dot(goal.free * jnp.ones(3), velocity[:3])
         turn = 0.5 * jnp.cross(rot.T, goal.rot.T).sum(0)  # sin(angle) times the axis of the missing turn
         torque = TURN_DAMPING * (_at_most(TURN_GAIN * turn, TURN_SPEED) - velocity[3:])
-        posture = POSTURE_STIFFNESS * (jnp.array(scenes.READY_POSE) - qpos[self._ids]) - POSTURE_DAMPING * qvel
+        posture = POSTURE_STIFFNESS * (jnp.array(scenes.SCENES[self.env.name].ready) - qpos[self._ids]) - POSTURE_DAMPING * qvel
         square = jacobian @ jacobian.T + 1e-5 * jnp.eye(6)
         posture -= jacobian.T @ jnp.linalg.solve(square, jacobian @ posture)
         joint_torque = jacobian.T @ jnp.concatenate([force, torque]) + posture + self._drag * qvel

@@ -104,6 +104,7 @@ class SceneConfig:
     robot_yaw: float
     human_driven: tuple[str, ...]  # joints with a motor, in the order of the human's action
     human_strength: float = 1.0  # fraction of HUMAN_TORQUE
+    ready: tuple[float, ...] = READY_POSE  # rad, where the arm starts
     targets: tuple[str, ...] = ()  # target sites on the person that become visible and get sensors
     control: str = "torque"  # or "position": the robot's ctrl is a joint target in rad
     camera: tuple[float, ...] = (1.75, 1.65, 1.45, 0.33, 0.06, 0.62)  # eye and point looked at
@@ -134,7 +135,11 @@ SCENES = {
         targets=("wrist_target", "waist_target"),
         camera=(-1.15, -1.75, 1.65, 0.0, -0.35, 0.68), close=(-0.75, -1.15, 1.35, 0.0, -0.38, 0.75),
     ),
-    "feeding": SceneConfig("wheelchair", "seated", "spoon", (0.65, 0.3, 0.32), pi + 0.5, NECK, **MEAL_VIEW),
+    "feeding": SceneConfig(
+        "wheelchair", "seated", "spoon", (0.65, 0.3, 0.32), pi + 0.5, NECK,
+        ready=(0.0, -1.3, 0.0, -2.4, 0.0, 2.671, 0.785),  # the spoon level, its tip toward the person
+        **MEAL_VIEW,
+    ),
     "tooth_brushing": SceneConfig(
         "wheelchair", "seated", "toothbrush", (0.65, 0.3, 0.32), pi + 0.5, NECK, **MEAL_VIEW
     ),
@@ -174,7 +179,7 @@ def build(config: SceneConfig, visuals: bool = True) -> mujoco.MjSpec:
     _add_sensors(spec, config)
     for name, view in (("main", config.camera), ("close", config.close)) if visuals else ():
         world.add_camera(name=name, pos=view[:3], quat=_look(view[:3], view[3:]), fovy=45)
-    angles = dict(zip(HUMAN_JOINTS + ROBOT_JOINTS, posture.rest + READY_POSE, strict=True))
+    angles = dict(zip(HUMAN_JOINTS + ROBOT_JOINTS, posture.rest + config.ready, strict=True))
     spec.add_key(name="start", qpos=[angles[joint.name] for joint in spec.joints])
     return spec
 

@@ -26,17 +26,14 @@ class FeedingConfig:
     mouth_distance: float = 0.03  # m, from the bowl, between its middle (the tool point) and its tip
     bowl: float = 0.036  # m, from middle to tip: as near as the middle gets to a face from the front
     success_seconds: float = 0.5
-    # The arm starts with the spoon hanging down. Food is on the spoon once it has been level, and is
-    # lost when the spoon then tips too far while still away from the mouth.
-    level_angle: float = 0.35  # rad from upright
+    # The arm starts with the spoon level. The food is lost when it tips too far while still away from the mouth.
     spill_angle: float = 0.7854  # rad from upright
     spill_distance: float = 0.1  # m
 
 
 @pytree
 class FeedingState:
-    loaded: jax.Array  # bool: the spoon has been level
-    spilled: jax.Array  # bool: and has tipped since
+    spilled: jax.Array  # bool
     mouth_seconds: jax.Array  # at the mouth, with the food
 
 
@@ -50,7 +47,7 @@ class Feeding:
 
     def reset(self, key) -> FeedingState:
         """Nothing is drawn: the mouth is where the head is."""
-        return FeedingState(jnp.bool_(False), jnp.bool_(False), jnp.float32(0.0))
+        return FeedingState(jnp.bool_(False), jnp.float32(0.0))
 
     def observe(self, s: Sensors, state: FeedingState):
         vector = s["mouth_pos"] - s["tool_pos"]
@@ -77,11 +74,10 @@ class Feeding:
         tool, vector = spatial.matrix(s["tool_quat"]), s["mouth_pos"] - s["tool_pos"]
         upright, tip = -tool[2, 0], tool[:, 2]  # cosine of the tilt; unit vector
         from_bowl = norm(vector - tip * jnp.clip(vector @ tip, 0.0, c.bowl))
-        loaded = state.loaded | (upright > jnp.cos(c.level_angle))
         tipped = (upright < jnp.cos(c.spill_angle)) & (norm(vector) > c.spill_distance)
-        spilled = state.spilled | (loaded & tipped)
-        eating = loaded & ~spilled & (from_bowl < c.mouth_distance)
-        return FeedingState(loaded, spilled, state.mouth_seconds + self.dt * eating)
+        spilled = state.spilled | tipped
+        eating = ~spilled & (from_bowl < c.mouth_distance)
+        return FeedingState(spilled, state.mouth_seconds + self.dt * eating)
 
     def outcomes(self, state: FeedingState):
         return {"mouth_seconds": state.mouth_seconds, "spilled": state.spilled.astype(jnp.float32)}
