@@ -68,6 +68,7 @@ class Expert:
         self.env = env
         self.tool = spatial.Chain(env.model, "tool_tip", scenes.ROBOT_JOINTS)
         self._ids = scenes.qpos_ids(env.model, scenes.ROBOT_JOINTS)
+        self._ready = jnp.array(scenes.SCENES[env.name].ready)
         self._full = jnp.array(scenes.ROBOT_TORQUE) * env.config.torque_scale
         # The joints' own damping, given back: where the arm is stretched it would swallow a force of 1 N.
         self._drag = 0.9 * jnp.array(env.model.dof_damping[self._ids])
@@ -104,7 +105,7 @@ class Expert:
         force += (DAMPING - PRESS_DAMPING) * goal.free * jnp.dot(goal.free * jnp.ones(3), velocity[:3])
         turn = 0.5 * jnp.cross(rot.T, goal.rot.T).sum(0)  # sin(angle) times the axis of the missing turn
         torque = TURN_DAMPING * (_at_most(TURN_GAIN * turn, TURN_SPEED) - velocity[3:])
-        posture = POSTURE_STIFFNESS * (jnp.array(scenes.SCENES[self.env.name].ready) - qpos[self._ids]) - POSTURE_DAMPING * qvel
+        posture = POSTURE_STIFFNESS * (self._ready - qpos[self._ids]) - POSTURE_DAMPING * qvel
         square = jacobian @ jacobian.T + 1e-5 * jnp.eye(6)
         posture -= jacobian.T @ jnp.linalg.solve(square, jacobian @ posture)
         joint_torque = jacobian.T @ jnp.concatenate([force, torque]) + posture + self._drag * qvel

@@ -1,6 +1,5 @@
 """Pictures and films of a scene."""
 
-import dataclasses
 import warnings
 from pathlib import Path
 
@@ -17,7 +16,7 @@ class Camera:
     """Renders joint positions of one task's scene. Use as a context manager."""
 
     def __init__(self, task: str, width: int = 640, height: int = 480, view: str = "main"):
-        self.model = scenes.build(dataclasses.replace(scenes.SCENES[task])).compile()
+        self.model = scenes.build(scenes.SCENES[task]).compile()
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
         self.data = mujoco.MjData(self.model)
         self.view = view
