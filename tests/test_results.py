@@ -268,6 +268,14 @@ def test_the_table_is_what_can_be_worked_out_by_hand(tmp_path, monkeypatch, caps
     assert "100%" in capsys.readouterr().out
 
 
+def test_intervals_stay_where_the_quantity_can_be(tmp_path):
+    """Two seeds with 3 and 4 N: 3.5 N, give or take 12.7 standard errors of 0.5 N, but not below zero."""
+    row = comparison.describe(pooled(write_run(tmp_path / "a", [[1000.0], [1100.0]]))[0], RECORDS)
+    assert row["force_in_contact"]["mean_ci"] == pytest.approx((0.0, 3.5 + 12.7 * 0.5), abs=0.3)
+    row = comparison.estimate([np.array([0.0, 1.0])], least=0.0, most=1.0)
+    assert row["mean_ci"] == row["iqm_ci"] == (0.0, 1.0)
+
+
 def test_one_seed_has_no_interval_and_says_so(tmp_path, capsys):
     cli.table((write_run(tmp_path / "a", [1, 700]),))
     text = capsys.readouterr().out

@@ -94,12 +94,12 @@ def _standard(experiment: Experiment) -> bool:
 # -- tables ------------------------------------------------------------------------------------
 
 
-def estimate(tasks: Sequence[np.ndarray], most: float = np.inf) -> dict[str, Any]:
-    """Mean and interquartile mean of scores, per task [seeds], with intervals over seeds; no score is above `most`."""
+def estimate(tasks: Sequence[np.ndarray], least: float = -np.inf, most: float = np.inf) -> dict[str, Any]:
+    """Mean and interquartile mean of scores, per task [seeds], with intervals over seeds, within [least, most]."""
     found: dict[str, Any] = {}
     for name, statistic in {"mean": mean, "iqm": iqm}.items():
         ci = seed_ci(tasks, statistic)
-        found |= {name: float(statistic(tasks)), f"{name}_ci": ci and (ci[0], min(ci[1], most))}
+        found |= {name: float(statistic(tasks)), f"{name}_ci": ci and (max(ci[0], least), min(ci[1], most))}
     return found
 
 
@@ -114,9 +114,9 @@ def describe(experiment: Experiment, records: Sequence[dict[str, Any]]) -> dict[
         row[f"of_{kind}"] = None if ends is None else float(returns.mean() / ends[1])
     if experiment.preferring:
         row |= {name: estimate([experiment.final(name, "mean")]) for name in ("task_return", "preference_return")}
-    row["success"] = estimate([experiment.final("success_rate")], most=1.0)
-    row["force_in_contact"] = estimate([experiment.final("force", "mean_in_contact")])
-    row["peak_force"] = estimate([experiment.final("outcomes", "peak_force", "mean")])
+    row["success"] = estimate([experiment.final("success_rate")], least=0.0, most=1.0)
+    row["force_in_contact"] = estimate([experiment.final("force", "mean_in_contact")], least=0.0)
+    row["peak_force"] = estimate([experiment.final("outcomes", "peak_force", "mean")], least=0.0)
     about = {name: [run.stamp.get(name) for run in runs] for name in ("commit", "versions", "hardware")}
     return row | {"settings": runs[0].settings, "runs": [str(run.folder) for run in runs], **about}
 
