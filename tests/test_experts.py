@@ -60,6 +60,21 @@ def test_the_expert_does_the_task(envs, name):
     assert result["metrics"]["return"].mean() >= share * BOUNDS[name]
 
 
+class LooksAside(Reflex):
+    """A person who turns the head as far as it goes."""
+
+    def act(self, params, carry, state, reset, key):
+        return jnp.array([self.sign, 0.0]), carry
+
+
+def test_the_feeding_expert_comes_to_where_the_face_is(envs):
+    """To the right is toward the robot and beyond."""
+    env = envs["feeding"]
+    team = scripted_team("expert", env) | {"human": (LooksAside(env, -1.0), ())}
+    metrics = play(env, team, episodes=2)["metrics"]
+    assert (metrics["success"] == 1).all() and (metrics["peak_force"] < 20).all()
+
+
 def test_actions_stay_within_bounds_and_finite_from_anywhere(envs):
     env = envs["arm_assist"]
     policy = expert(env)

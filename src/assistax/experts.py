@@ -68,7 +68,8 @@ class Expert:
         self.env = env
         self.tool = spatial.Chain(env.model, "tool_tip", scenes.ROBOT_JOINTS)
         self._ids = scenes.qpos_ids(env.model, scenes.ROBOT_JOINTS)
-        self._ready = jnp.array(scenes.SCENES[env.name].ready)
+        scene = scenes.SCENES[env.name]
+        self._base, self._ready = jnp.array(scene.robot_pos), jnp.array(scene.ready)
         self._full = jnp.array(scenes.ROBOT_TORQUE) * env.config.torque_scale
         # The joints' own damping, given back: where the arm is stretched it would swallow a force of 1 N.
         self._drag = 0.9 * jnp.array(env.model.dof_damping[self._ids])
@@ -119,10 +120,6 @@ class ScratchExpert(Expert):
     pace = 0.06
     force = 3.0
     drag = 1.5  # N, to overcome friction
-
-    def __init__(self, env, considerate: bool = False):
-        super().__init__(env, considerate)
-        self._base = jnp.array(scenes.SCENES[env.name].robot_pos)
 
     def initial_carry(self):
         return {"way": jnp.float32(1.0), "clear": jnp.bool_(False), "down": jnp.bool_(False)}
@@ -231,11 +228,12 @@ class ArmAssistExpert(Expert):
 class FeedingExpert(Expert):
     """Level the spoon beside the face, bring it to the mouth, roll it toward the lips there.
 
-    From straight ahead the hand would be out of reach: the spoon comes from the robot's side.
+    The spoon comes from where the robot stands, as far as the face can be reached from there: from straight ahead
+    the hand would be out of reach.
     """
 
-    bearing = 1.0  # rad, from straight ahead toward the robot
-    roll = 0.7  # rad, at the mouth
+    bearing = 1.0  # rad, the most, from straight ahead
+    roll = 0.7  # rad, at the mouth, with the most bearing
     force = 1.8
     share = 0.55  # of the force felt that is pressed; the rest is the hand's pull to the mouth
 
@@ -245,12 +243,13 @@ class FeedingExpert(Expert):
     def goal(self, carry, s, task, pos, rot, manner):
         mouth, face = s["mouth_pos"], spatial.matrix(s["mouth_quat"])
         forward = spatial.unit(face[:, 0] * LEVEL)
-        right = jnp.cross(forward, UP)  # the person's right, where the robot stands
-        tip = -jnp.cos(self.bearing) * forward - jnp.sin(self.bearing) * right
+        right = jnp.cross(forward, UP)
+        robot = self._base - mouth
+        bearing = jnp.clip(jnp.arctan2(robot @ right, robot @ forward), -self.bearing, self.bearing)
+        tip = -jnp.cos(bearing) * forward - jnp.sin(bearing) * right
         distance = norm(mouth - pos)
-        roll = self.roll * proximity(distance)
-        side = jnp.cross(UP, tip)
-        side = side * jnp.sign(-side @ forward)  # level, square to the spoon, toward the face
+        roll = self.roll * jnp.sin(bearing) / jnp.sin(self.bearing) * proximity(distance)
+        side = jnp.cross(UP, tip)  # level, square to the spoon; toward the face if the spoon comes from the right
         up = jnp.cos(roll) * UP + jnp.sin(roll) * side
         turned = jnp.stack([-up, jnp.cross(tip, -up), tip], -1)
         front = mouth - 0.18 * tip + 0.02 * forward
