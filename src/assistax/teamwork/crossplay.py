@@ -118,13 +118,15 @@ def table(report: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
     head = ["robot of / person of", *(str(j + 1) for j in range(len(names)))]
     cells = []
     for i, (name, *row) in enumerate(zip(names, report["return"], report["success"], strict=True)):
-        cells.append(
-            [f"{i + 1} {name}", *(f"{value:.0f} ({success:.0%})" for value, success in zip(*row, strict=True))]
-        )
+        cells.append([f"{i + 1} {name}", *map(_cell, *row)])
     for kind in ("self_play", "cross_play"):
-        said = f"{report[kind]['return']:.0f} ({report[kind]['success']:.0%})"
+        said = _cell(report[kind]["return"], report[kind]["success"])
         cells.append([f"{kind.replace('_', '-')}, mean", said, *[""] * (len(names) - 1)])
     return head, cells
+
+
+def _cell(value: float, success: float) -> str:
+    return f"{value:.0f} ({success:.0%})"
 
 
 def picture(report: dict[str, Any], metric: str = "return") -> Figure:
