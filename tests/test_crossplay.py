@@ -6,7 +6,8 @@ import pytest
 import assistax
 from assistax.errors import UsageError
 from assistax.evaluation import evaluate
-from assistax.policies import Actor, scripted_policy, scripted_team
+from assistax.learning.actors import Actor
+from assistax.policies import scripted_policy, scripted_team
 from assistax.teamwork.crossplay import Entrant, cross_play, picture, table
 
 EPISODES = 3

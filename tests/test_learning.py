@@ -12,16 +12,17 @@ from games import Cue, Meeting, Weather
 from scipy import stats as scipy_stats
 
 from assistax.errors import UsageError
+from assistax.learning.actors import Actor
 from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
 from assistax.learning.gae import gae
 from assistax.learning.networks import gaussian_entropy, gaussian_log_prob, init_mlp, mlp, remember
 from assistax.learning.normalizer import init_stats, normalize, update_stats
-from assistax.learning.ppo import PPO, PPOConfig, clip_networks, clipped_policy_loss, next_pace
+from assistax.learning.ppo import PPO, PPOConfig, adapted_rate, clip_networks, clipped_policy_loss
 from assistax.learning.presets import PRESETS, preset
 from assistax.learning.sac import SACConfig
 from assistax.learning.seats import Partner, Seats
 from assistax.learning.tuned import tunable
-from assistax.policies import Actor, Random, Still
+from assistax.policies import Random, Still
 from assistax.tasks import TASKS
 
 
@@ -53,9 +54,9 @@ def test_gradient_is_clipped_per_network():
 def test_pace_by_hand():
     """Within a factor of two of the desired KL it stays; beyond, it changes by half; it never exceeds 1."""
     kl = jnp.array([0.041, 0.039, 0.011, 0.009])
-    np.testing.assert_allclose(next_pace(jnp.full(4, 0.3), kl, 0.02), [0.2, 0.3, 0.3, 0.45], rtol=1e-6)
-    np.testing.assert_allclose(next_pace(jnp.full(4, 0.9), kl, 0.02), [0.6, 0.9, 0.9, 1.0], rtol=1e-6)
-    np.testing.assert_array_equal(next_pace(jnp.ones(4), kl, 0.0), jnp.ones(4))
+    np.testing.assert_allclose(adapted_rate(jnp.full(4, 0.3), kl, 0.02), [0.2, 0.3, 0.3, 0.45], rtol=1e-6)
+    np.testing.assert_allclose(adapted_rate(jnp.full(4, 0.9), kl, 0.02), [0.6, 0.9, 0.9, 1.0], rtol=1e-6)
+    np.testing.assert_array_equal(adapted_rate(jnp.ones(4), kl, 0.0), jnp.ones(4))
 
 
 def test_gaussian_against_scipy():
@@ -299,13 +300,13 @@ def test_a_policy_that_moves_further_than_desired_is_slowed_down_and_its_critic_
     for desired in (0.0, 0.005):
         _, state, stats, _ = trained(Meeting(), 60, 16, desired_kl=desired, **quick)
         moved[desired] = float(stats["robot"]["approx_kl"])
-        assert set(state.pace) == set(state.params)
-        assert all((pace < 1.0) == (desired > 0.0) for pace in state.pace.values())
+        assert set(state.rate_scale) == set(state.params)
+        assert all((pace < 1.0) == (desired > 0.0) for pace in state.rate_scale.values())
     assert moved[0.005] < 0.015 and moved[0.0] > 3 * moved[0.005], moved
 
     ppo, state, _, batch = trained(Meeting(), 1, 16, **quick)
-    stopped = next(iter(state.pace))
-    after, _ = jax.jit(ppo.improve)(replace(state, pace=state.pace | {stopped: jnp.float32(0.0)}), batch)
+    stopped = next(iter(state.rate_scale))
+    after, _ = jax.jit(ppo.improve)(replace(state, rate_scale=state.rate_scale | {stopped: jnp.float32(0.0)}), batch)
     moved = {
         (name, network): any(jax.tree.leaves(jax.tree.map(lambda x, y: bool((x != y).any()), before, then)))
         for name in state.params
@@ -388,13 +389,13 @@ def test_a_seat_that_does_not_learn_is_left_alone():
     ppo = PPO(Meeting(), PPOConfig(num_steps=20, num_minibatches=2, hidden=(8,)), 64, 3, partners)
     state = jax.jit(ppo.init)(jax.random.key(0))
     assert set(state.params) == set(state.normalizer) == {"robot"}
-    first = np.asarray(state.seated["human"]["index"])
+    first = np.asarray(state.partner_state["human"]["index"])
     state, batch = jax.jit(ppo.collect)(state)
     assert set(batch["actions"]) == {"robot"}
     np.testing.assert_array_equal(np.bincount(first, minlength=3) > 10, True)
     # 20 steps after staggered starts all episodes of 5 steps have ended: fresh draws, counts as old as the episodes.
-    assert (np.asarray(state.seated["human"]["index"]) != first).any()
-    np.testing.assert_array_equal(state.seated["human"]["carry"] % 5, state.env_state["t"] % 5)
+    assert (np.asarray(state.partner_state["human"]["index"]) != first).any()
+    np.testing.assert_array_equal(state.partner_state["human"]["carry"] % 5, state.env_state["t"] % 5)
     # 1 - (squared errors): what the partners' constants cost is in the rewards.
     error = jnp.square(batch["actions"]["robot"] - 0.5 * batch["obs"]["robot"][..., :1]).sum(-1)
     left = 1.0 - error - batch["rewards"]["robot"]  # (constant + 0.25 c)²

@@ -13,14 +13,14 @@ import pytest
 from games import Game
 
 from assistax.errors import UsageError
+from assistax.learning.actors import SquashedActor
 from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
 from assistax.learning.networks import init_mlp, mlp
-from assistax.learning.replay import Packing, add, init_replay, sample
-from assistax.learning.sac import SAC, SACConfig, move_target, temperature_loss
+from assistax.learning.sac import SAC, SACConfig, temperature_loss
+from assistax.learning.sac.replay import Packing, add, init_replay, sample
 from assistax.learning.seats import Partner
 from assistax.learning.squashed import log_tanh_slope, sample_squashed, split_head, squashed_log_prob
 from assistax.learning.tuned import tunable
-from assistax.policies import SquashedActor
 
 
 class Carrying(Game):
@@ -133,11 +133,6 @@ def test_log_std_stays_within_its_bounds():
     mean, log_std = split_head(jnp.array([1.0, 2.0, -100.0, 100.0]))
     np.testing.assert_allclose(mean, [1.0, 2.0])
     np.testing.assert_allclose(log_std, [-5.0, 2.0])
-
-
-def test_target_moves_by_tau():
-    moved = move_target({"w": jnp.array([1.0, 2.0])}, {"w": jnp.array([3.0, -2.0])}, 0.25)
-    np.testing.assert_allclose(moved["w"], [1.5, 1.0])
 
 
 def test_temperature_rises_where_the_entropy_is_below_its_target():

@@ -8,7 +8,7 @@ jitted with the state donated (the replay is then written in place) and, over se
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import partial
 from typing import Any
 
@@ -16,55 +16,18 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from assistax.errors import UsageError, choose
+from assistax.errors import UsageError
+from assistax.learning.actors import SquashedActor
 from assistax.learning.gae import horizon
 from assistax.learning.log import iteration_log, step_log
-from assistax.learning.networks import ACTIVATIONS, init_mlp, mlp
+from assistax.learning.networks import init_mlp, mlp
 from assistax.learning.normalizer import RunningStats, init_stats, normalize, update_stats
-from assistax.learning.replay import Packing, Replay, add, init_replay, sample
+from assistax.learning.sac.config import SACConfig
+from assistax.learning.sac.replay import Packing, Replay, add, init_replay, sample
 from assistax.learning.seats import Partner, Seats
 from assistax.learning.squashed import sample_squashed, split_head
 from assistax.learning.tuned import overlaid
-from assistax.policies import SquashedActor
 from assistax.pytree import pytree
-
-
-@dataclass(frozen=True)
-class SACConfig:
-    joint_critics: bool = True  # MASAC; without, ISAC
-    actor_learning_rate: float = 3e-4
-    critic_learning_rate: float = 1e-3
-    alpha_learning_rate: float = 3e-4  # of the temperatures
-    tau: float = 0.005  # share of the critics that moves into their targets at every update
-    num_steps: int = 8  # per environment and iteration
-    updates: int = 32  # gradient steps per iteration
-    batch_size: int = 512  # transitions per gradient step
-    gamma: float = 0.99
-    buffer_size: int = 1_000_000  # transitions; about 0.5 GB, in memory and in every checkpoint
-    warmup: int = 5_000  # transitions played with uniformly random actions, before the policy plays
-    initial_alpha: float = 1.0
-    noise_correlation: float = 0.0  # of the exploration from one step to the next
-    hidden: tuple[int, ...] = (128, 128)
-    activation: str = "relu"
-    normalize_obs: bool = True
-    stagger: bool = True  # start the environments at different times of their episodes
-
-    def __post_init__(self):
-        for name in ("num_steps", "updates", "batch_size", "buffer_size"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"sac.{name} must be 1 or more, not {getattr(self, name)}.")
-        if self.warmup < 0:
-            raise UsageError(f"sac.warmup must be 0 or more, not {self.warmup}.")
-        for name in ("actor_learning_rate", "critic_learning_rate", "alpha_learning_rate", "initial_alpha"):
-            if getattr(self, name) <= 0:
-                raise UsageError(f"sac.{name} must be above 0, not {getattr(self, name)}.")
-        if not 0 < self.tau <= 1:
-            raise UsageError(f"sac.tau must be in (0, 1], not {self.tau}.")
-        if not 0 <= self.gamma <= 1:
-            raise UsageError(f"sac.gamma must be in [0, 1], not {self.gamma}.")
-        if not 0 <= self.noise_correlation < 1:
-            raise UsageError(f"sac.noise_correlation must be in [0, 1), not {self.noise_correlation}.")
-        choose("activation", self.activation, ACTIVATIONS)
 
 
 @pytree
@@ -78,7 +41,7 @@ class SACState:
     env_state: Any  # [num_envs, ...]
     obs: dict[str, jax.Array]  # agent -> [num_envs, n]
     noise: dict[str, jax.Array]  # learner -> [num_envs, longest action], what it explored with before obs
-    seated: dict[str, Any]  # who plays the seats that do not learn
+    partner_state: dict[str, Any]  # who plays the seats that do not learn
     others: dict[str, jax.Array]  # partner -> [num_envs, n], what it will do next
     key: jax.Array
     iteration: jax.Array  # int32
@@ -128,8 +91,10 @@ class SAC:
         # In step, all environments would be at the same moment of the task.
         elapsed = jnp.arange(self.num_envs) * env.episode_length // self.num_envs * c.stagger
         obs, env_state = jax.vmap(env.reset)(jax.random.split(reset_key, self.num_envs), elapsed)
-        seated = self.seats.init(seat_key)
-        others, seated = self._partners_act(seated, env_state, obs, jnp.ones(self.num_envs, bool), act_key)
+        partner_state = self.seats.init(seat_key)
+        others, partner_state = self._partners_act(
+            partner_state, env_state, obs, jnp.ones(self.num_envs, bool), act_key
+        )
 
         actor = {}
         for agent, agent_key in zip(self.learners, jax.random.split(actor_key, len(self.learners)), strict=True):
@@ -165,7 +130,7 @@ class SAC:
             env_state=env_state,
             obs=obs,
             noise={a: jax.random.normal(jax.random.fold_in(act_key, i), shape) for i, a in enumerate(self.learners)},
-            seated=seated,
+            partner_state=partner_state,
             others=others,
             key=key,
             iteration=jnp.int32(0),
@@ -201,7 +166,7 @@ class SAC:
         warming_up = state.iteration * self.steps_per_iteration < c.warmup
 
         def play(carry, key):
-            env_state, obs, noise, seated, others, t = carry
+            env_state, obs, noise, partner_state, others, t = carry
             act_key, random_key, step_key, redraw_key, seat_key = jax.random.split(key, 5)
             actions, noise = dict(others), dict(noise)
             for i, agent in enumerate(self.learners):
@@ -214,8 +179,8 @@ class SAC:
             step_keys = jax.random.split(step_key, self.num_envs)
             obs, env_state, rewards, terminated, truncated, info = jax.vmap(env.step)(step_keys, env_state, actions)
             done = terminated["__all__"] | truncated["__all__"]
-            seated = self.seats.redraw(seated, done, redraw_key)
-            next_others, seated = self._partners_act(seated, env_state, obs, done, seat_key)
+            partner_state = self.seats.redraw(partner_state, done, redraw_key)
+            next_others, partner_state = self._partners_act(partner_state, env_state, obs, done, seat_key)
             transition = {
                 "obs": row,
                 "next_obs": self._packing.pack(info["final_global_observation"], info["final_observation"]),
@@ -226,13 +191,13 @@ class SAC:
                 "terminated": terminated["__all__"],  # not at a time limit: there the value goes on
             }
             log = step_log(info, done & (t >= env.episode_length * c.stagger))
-            return (env_state, obs, noise, seated, next_others, t + 1), (transition, log)
+            return (env_state, obs, noise, partner_state, next_others, t + 1), (transition, log)
 
         key, rollout_key = jax.random.split(state.key)
         t = state.iteration * c.num_steps + 1
-        start = (state.env_state, state.obs, state.noise, state.seated, state.others, t)
+        start = (state.env_state, state.obs, state.noise, state.partner_state, state.others, t)
         end, (chunk, log) = jax.lax.scan(play, start, jax.random.split(rollout_key, c.num_steps))
-        env_state, obs, noise, seated, others, _ = end
+        env_state, obs, noise, partner_state, others, _ = end
         chunk = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), chunk)
         state = replace(
             state,
@@ -241,16 +206,16 @@ class SAC:
             env_state=env_state,
             obs=obs,
             noise=noise,
-            seated=seated,
+            partner_state=partner_state,
             others=others,
             key=key,
         )
         return state, {"log": iteration_log(log)}
 
-    def _partners_act(self, seated, env_state, obs, reset, key):
+    def _partners_act(self, partner_state, env_state, obs, reset, key):
         """The partners' actions as the joints receive them, for the critics must not see more."""
-        actions, seated = self.seats.act(seated, env_state, obs, reset, key)
-        return jax.tree.map(lambda x: jnp.clip(x, -1.0, 1.0), actions), seated
+        actions, partner_state = self.seats.act(partner_state, env_state, obs, reset, key)
+        return jax.tree.map(lambda x: jnp.clip(x, -1.0, 1.0), actions), partner_state
 
     # -- learning ------------------------------------------------------------------------------
 
@@ -311,7 +276,7 @@ class SAC:
             return temperature_loss(log_alphas, entropy, self._target_entropy), None
 
         descend("log_alpha", alpha_loss, c.alpha_learning_rate)
-        params["target"] = move_target(params["target"], params["critic"], c.tau)
+        params["target"] = optax.incremental_update(params["critic"], params["target"], c.tau)
         stats = {}
         for agent in self.learners:
             judge = "team" if c.joint_critics else agent
@@ -365,8 +330,3 @@ def temperature_loss(log_alpha: dict, entropy: dict, target: dict) -> jax.Array:
 def _where(mask: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
     """x or y [num_envs, n] by mask [num_envs]."""
     return jnp.where(mask[:, None], x, y)
-
-
-def move_target(target: Any, online: Any, tau: float) -> Any:
-    """Polyak averaging: target + tau (online - target)."""
-    return jax.tree.map(lambda slow, fast: slow + tau * (fast - slow), target, online)

@@ -7,9 +7,8 @@ state and on that memory, and on nothing else. One iteration is `collect`, then 
 functions of a TrainState, to be jitted and, over seeds, vmapped.
 """
 
-import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import partial
 from typing import Any
 
@@ -17,73 +16,26 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from assistax.errors import UsageError, choose
+from assistax.errors import UsageError
+from assistax.learning.actors import Actor
 from assistax.learning.gae import gae, horizon
 from assistax.learning.log import iteration_log, step_log
 from assistax.learning.networks import (
-    ACTIVATIONS,
     gaussian_entropy,
     gaussian_log_prob,
     init_mlp,
     init_network,
     mlp,
     network_of,
-    next_noise,
     step,
     unroll,
 )
 from assistax.learning.normalizer import init_stats, normalize, update_stats
+from assistax.learning.ppo.config import PPOConfig
+from assistax.learning.ppo.losses import adapted_rate, clip_networks, clipped_policy_loss, value_loss
 from assistax.learning.seats import Partner, Seats
 from assistax.learning.tuned import overlaid
-from assistax.policies import Actor
 from assistax.pytree import pytree
-
-
-@dataclass(frozen=True)
-class PPOConfig:
-    central_critic: bool = False  # critics see the global state (MAPPO) instead of the agent's own observation (IPPO)
-    recurrent: bool = False  # in actors a GRU of hidden[0] units in place of the first layer
-    share_parameters: bool = False  # one actor and one critic for all learners, told who they are
-    learning_rate: float = 3e-4
-    anneal_learning_rate: bool = False  # linearly to zero over the run
-    desired_kl: float = 0.0  # of an iteration: actors that move over twice as far slow down, see next_pace; 0: none
-    num_steps: int = 64  # per environment and iteration
-    update_epochs: int = 8
-    num_minibatches: int = 16
-    clip_eps: float = 0.2
-    clip_value: bool = False  # clip value changes like the policy's
-    entropy_coef: float = 1e-3
-    value_coef: float = 0.5
-    gamma: float = 0.99
-    gae_lambda: float = 0.95
-    max_grad_norm: float = 0.5  # per network
-    hidden: tuple[int, ...] = (128, 128)
-    activation: str = "tanh"
-    initial_log_std: float = 0.0
-    noise_correlation: float = 0.0  # of the exploration from step to step; log-probabilities are of each by itself
-    correlated_steps: int = 0  # environment steps after which that is 0, as long runs need; 0: never
-    normalize_obs: bool = True
-    stagger: bool = True  # start the environments at different times of their episodes
-
-    def __post_init__(self):
-        for name in ("num_steps", "update_epochs", "num_minibatches"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"ppo.{name} must be 1 or more, not {getattr(self, name)}.")
-        for name in ("learning_rate", "clip_eps", "max_grad_norm"):
-            if getattr(self, name) <= 0:
-                raise UsageError(f"ppo.{name} must be above 0, not {getattr(self, name)}.")
-        for name in ("gamma", "gae_lambda"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise UsageError(f"ppo.{name} must be in [0, 1], not {getattr(self, name)}.")
-        if not 0 <= self.noise_correlation < 1:
-            raise UsageError(f"ppo.noise_correlation must be in [0, 1), not {self.noise_correlation}.")
-        if self.correlated_steps < 0:
-            raise UsageError(f"ppo.correlated_steps must be 0 (all of the run) or more, not {self.correlated_steps}.")
-        if not 0 <= self.desired_kl < math.inf:
-            raise UsageError(f"ppo.desired_kl must be 0 (none) or above, not {self.desired_kl}.")
-        if not all(size > 0 for size in self.hidden) or (not self.hidden and (self.recurrent or self.share_parameters)):
-            raise UsageError(f"ppo.hidden must be the sizes of one layer or more, not {self.hidden}.")
-        choose("activation", self.activation, ACTIVATIONS)
 
 
 @pytree
@@ -92,14 +44,14 @@ class TrainState:
 
     params: dict[str, Any]  # learner, or "shared" -> {"actor": Network with "log_std", "critic": Network}
     opt_state: Any
-    pace: dict[str, jax.Array]  # by name in params, its actor's learning rate as a fraction of the configuration's
+    rate_scale: dict[str, jax.Array]  # by name in params, factor of its actor's learning rate, see adapted_rate
     normalizer: dict[str, Any]  # what is seen, see PPO._views -> RunningStats
     env_state: Any  # [num_envs, ...]
     obs: dict[str, jax.Array]  # agent -> [num_envs, n]
     reset: jax.Array  # [num_envs] whether obs begins an episode
     memory: dict[str, Any]  # learner -> its actor's carry before obs, [num_envs, units] or ()
     noise: dict[str, jax.Array]  # learner -> [num_envs, n], what it explored with before obs, in standard deviations
-    seated: dict[str, Any]  # who plays the seats that do not learn
+    partner_state: dict[str, Any]  # who plays the seats that do not learn
     key: jax.Array
     iteration: jax.Array  # int32
     tuned: dict[str, jax.Array] = field(default_factory=dict)  # settings that stand in for the configuration's
@@ -159,14 +111,14 @@ class PPO:
         return TrainState(
             params=params,
             opt_state=self._adam.init(params),
-            pace={name: jnp.ones(()) for name in params},
+            rate_scale={name: jnp.ones(()) for name in params},
             normalizer=normalizer,
             env_state=env_state,
             obs=obs,
             reset=jnp.ones(self.num_envs, bool),
             memory=dict.fromkeys(self.learners, blank),
             noise={agent: jnp.zeros((self.num_envs, env.action_sizes[agent])) for agent in self.learners},
-            seated=self.seats.init(seat_key),
+            partner_state=self.seats.init(seat_key),
             key=key,
             iteration=jnp.int32(0),
             tuned=tuned,
@@ -238,23 +190,22 @@ class PPO:
     def collect(self, state: TrainState) -> tuple[TrainState, dict]:
         """Play `num_steps` in all environments: the batch, each array [num_steps, num_envs, ...]."""
         env, c = self.env, overlaid(self.config, state.tuned)
-        networks = self._networks(state.params)
+        params = self.policy_params(state)
+        policy = replace(self.policy(False), noise_correlation=self._noise_correlation(c, state.iteration))
         global_obs = jax.vmap(env.global_obs) if c.central_critic else lambda _: None
-        correlation = self._noise_correlation(c, state.iteration)
 
         def play(carry, key):
-            env_state, obs, reset, memory, noise, seated, t = carry
+            env_state, obs, reset, memory, noise, partner_state, t = carry
             seat_key, redraw_key, step_key, *action_keys = jax.random.split(key, 3 + len(self.learners))
-            actions, seated = self.seats.act(seated, env_state, obs, reset, seat_key)
-            views = self._views(obs, global_obs(env_state))
-            seen = self._seen(state.normalizer, views)
+            actions, partner_state = self.seats.act(partner_state, env_state, obs, reset, seat_key)
             memory, noise, log_probs = dict(memory), dict(noise), {}
             for agent, action_key in zip(self.learners, action_keys, strict=True):
-                actor = networks[agent]["actor"]
-                mean, memory[agent] = step(actor, seen[agent], memory[agent], reset, c.activation)
-                noise[agent] = next_noise(noise[agent], reset, correlation, action_key)
-                actions[agent] = mean + jnp.exp(actor["log_std"]) * noise[agent]
-                log_probs[agent] = gaussian_log_prob(actions[agent], mean, actor["log_std"])
+                carry = memory[agent], noise[agent]
+                actions[agent], carry, log_probs[agent] = policy.sample(
+                    params[agent], carry, obs[agent], reset, action_key
+                )
+                memory[agent], noise[agent] = carry
+            global_obs_before = global_obs(env_state)
             step_keys = jax.random.split(step_key, self.num_envs)
             next_obs, env_state, rewards, terminated, truncated, info = jax.vmap(env.step)(
                 step_keys, env_state, actions
@@ -262,7 +213,7 @@ class PPO:
             done = terminated["__all__"] | truncated["__all__"]
             final = self._views(info["final_observation"], info.get("final_global_observation"))
             played = {
-                "obs": views,
+                "obs": self._views(obs, global_obs_before),
                 "final_obs": final,
                 "reset": reset,
                 "actions": {agent: actions[agent] for agent in self.learners},
@@ -272,14 +223,14 @@ class PPO:
                 "done": done,
             }
             log = step_log(info, done & (t >= env.episode_length * c.stagger))
-            seated = self.seats.redraw(seated, done, redraw_key)
-            return (env_state, next_obs, done, memory, noise, seated, t + 1), (played, log)
+            partner_state = self.seats.redraw(partner_state, done, redraw_key)
+            return (env_state, next_obs, done, memory, noise, partner_state, t + 1), (played, log)
 
         key, rollout_key = jax.random.split(state.key)
         t = state.iteration * c.num_steps + 1
-        start = (state.env_state, state.obs, state.reset, state.memory, state.noise, state.seated, t)
+        start = (state.env_state, state.obs, state.reset, state.memory, state.noise, state.partner_state, t)
         end, (batch, log) = jax.lax.scan(play, start, jax.random.split(rollout_key, c.num_steps))
-        names = ("env_state", "obs", "reset", "memory", "noise", "seated")
+        names = ("env_state", "obs", "reset", "memory", "noise", "partner_state")
         batch |= {"memory": state.memory, "log": iteration_log(log)}
         return replace(state, **dict(zip(names, end[:-1], strict=True)), key=key), batch
 
@@ -344,7 +295,7 @@ class PPO:
             if c.anneal_learning_rate:
                 rate *= 1.0 - opt_state[0].count / self._updates
             updates, opt_state = self._adam.update(clip_networks(grads, c.max_grad_norm), opt_state)
-            rates = {name: {"actor": rate * pace, "critic": rate} for name, pace in state.pace.items()}
+            rates = {name: {"actor": rate * scale, "critic": rate} for name, scale in state.rate_scale.items()}
             updates = jax.tree.map(optax.tree.scale, rates, updates)
             return (optax.apply_updates(params, updates), opt_state), stats
 
@@ -359,17 +310,17 @@ class PPO:
         kl = {agent: stats[agent]["approx_kl"] for agent in self.learners}
         if c.share_parameters:
             kl = {"shared": sum(kl.values()) / len(kl)}
-        pace = {name: next_pace(state.pace[name], kl[name], c.desired_kl) for name in kl}
+        rate_scale = {name: adapted_rate(state.rate_scale[name], kl[name], c.desired_kl) for name in kl}
         for agent, networks in self._networks(params).items():
             value, target = samples[agent]["value"], samples[agent]["target"]
             stats[agent]["explained_variance"] = 1.0 - jnp.var(target - value) / (jnp.var(target) + 1e-8)
             stats[agent]["std"] = jnp.exp(networks["actor"]["log_std"]).mean()
-            stats[agent]["pace"] = pace["shared" if c.share_parameters else agent]
+            stats[agent]["rate_scale"] = rate_scale["shared" if c.share_parameters else agent]
         state = replace(
             state,
             params=params,
             opt_state=opt_state,
-            pace=pace,
+            rate_scale=rate_scale,
             normalizer=informed,
             key=key,
             iteration=state.iteration + 1,
@@ -390,47 +341,14 @@ class PPO:
         log_ratio = gaussian_log_prob(x["action"], mean, log_std) - x["log_prob"]
         policy_loss = clipped_policy_loss(log_ratio, x["advantage"], c.clip_eps)
         value = self._value(networks["critic"], agent, part["obs"], memory)
-        error = jnp.square(value - x["target"])
-        if c.clip_value:
-            near = x["value"] + jnp.clip(value - x["value"], -c.clip_eps, c.clip_eps)
-            error = jnp.maximum(error, jnp.square(near - x["target"]))
-        value_loss = 0.5 * error.mean()
+        value_error = value_loss(value, x["value"], x["target"], c.clip_eps if c.clip_value else None)
         entropy = gaussian_entropy(log_std)
         stats = {
             "policy_loss": policy_loss,
-            "value_loss": value_loss,
+            "value_loss": value_error,
             "entropy": entropy,
             "approx_kl": jnp.mean(jnp.expm1(log_ratio) - log_ratio),
             "clip_fraction": jnp.mean(jnp.abs(jnp.expm1(log_ratio)) > c.clip_eps),
             "value_change": jnp.mean(jnp.abs(value - x["value"])),
         }
-        return policy_loss + c.value_coef * value_loss - c.entropy_coef * entropy, stats
-
-
-def clipped_policy_loss(log_ratio: jax.Array, advantage: jax.Array, clip_eps: float) -> jax.Array:
-    """PPO's surrogate, with the advantages normalised over the minibatch [...]."""
-    advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-    ratio = jnp.exp(log_ratio)
-    clipped = jnp.clip(ratio, 1.0 - clip_eps, 1.0 + clip_eps)
-    return -jnp.minimum(ratio * advantage, clipped * advantage).mean()
-
-
-def next_pace(pace: jax.Array, kl: jax.Array, desired_kl: float | jax.Array) -> jax.Array:
-    """How fast an actor learns next, in (0, 1], when an iteration has moved it by `kl`.
-
-    A third slower if that is more than twice the desired, half as much again faster if less than half; so Schulman
-    et al. (2017, section 4) adapt a penalty. The same rate moves a policy further as its noise shrinks.
-    """
-    desired = jnp.where(desired_kl > 0, desired_kl, jnp.inf)
-    change = jnp.where(kl > 2.0 * desired, 1 / 1.5, jnp.where(kl < 0.5 * desired, 1.5, 1.0))
-    return jnp.clip(pace * change, 1e-3, 1.0)
-
-
-def clip_networks(grads: dict, max_norm: float) -> dict:
-    """Scale the gradient of each network (grads[agent][network]) to at most this norm."""
-
-    def clip(grad):
-        scale = jnp.minimum(1.0, max_norm / (optax.tree.norm(grad) + 1e-8))
-        return jax.tree.map(partial(jnp.multiply, scale), grad)
-
-    return {agent: {name: clip(grad) for name, grad in nets.items()} for agent, nets in grads.items()}
+        return policy_loss + c.value_coef * value_error - c.entropy_coef * entropy, stats

@@ -1,0 +1,68 @@
+"""Trained actors as policies, in training as outside of it."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+
+from assistax.learning.networks import gaussian_log_prob, mlp, next_noise, step
+from assistax.learning.normalizer import normalize
+from assistax.learning.squashed import sample_squashed, split_head
+
+
+@dataclass(frozen=True)
+class Actor:
+    """A trained actor of PPO; params: {"actor": ..., "normalizer": ...}."""
+
+    activation: str = "tanh"
+    normalize_obs: bool = True
+    deterministic: bool = True
+    memory: int = 0  # units of its GRU; 0 for none
+    noise_correlation: float = 0.0  # of what it draws, from one step to the next
+    longest_action: int = 0  # as many numbers are drawn if not deterministic
+
+    def initial_carry(self):
+        """Its memory, and its noise."""
+        return jnp.zeros(self.memory) if self.memory else (), jnp.zeros(self.longest_action)
+
+    def act(self, params, carry, obs, reset, key):
+        if self.deterministic:
+            mean, memory = self._mean(params, carry[0], obs, reset)
+            return mean, (memory, carry[1])
+        return self.sample(params, carry, obs, reset, key)[:2]
+
+    def sample(self, params, carry, obs, reset, key):
+        """(action, carry, log-probability of the action by itself) for obs [..., n], reset [...]."""
+        mean, memory = self._mean(params, carry[0], obs, reset)
+        log_std = params["actor"]["log_std"]
+        noise = next_noise(carry[1], reset, self.noise_correlation, key)
+        action = mean + jnp.exp(log_std) * noise[..., : mean.shape[-1]]
+        return action, (memory, noise), gaussian_log_prob(action, mean, log_std)
+
+    def _mean(self, params, memory, obs, reset):
+        if self.normalize_obs:
+            obs = normalize(params["normalizer"], obs)
+        return step(params["actor"], obs, memory, reset, self.activation)
+
+
+@dataclass(frozen=True)
+class SquashedActor:
+    """A trained actor of SAC; params: {"actor": {"layers"}, "normalizer"}. Acts in (-1, 1)."""
+
+    activation: str = "relu"
+    normalize_obs: bool = True
+    deterministic: bool = True  # tanh of the mean
+    noise_correlation: float = 0.0  # of what it draws, from one step to the next
+    longest_action: int = 0  # as many numbers are drawn if not deterministic
+
+    def initial_carry(self):
+        """Its noise."""
+        return jnp.zeros(self.longest_action)
+
+    def act(self, params, carry, obs, reset, key):
+        if self.normalize_obs:
+            obs = normalize(params["normalizer"], obs)
+        mean, log_std = split_head(mlp(params["actor"]["layers"], obs, self.activation))
+        if self.deterministic:
+            return jnp.tanh(mean), carry
+        noise = next_noise(carry, reset, self.noise_correlation, key)
+        return sample_squashed(mean, log_std, noise[: mean.shape[-1]])[0], noise

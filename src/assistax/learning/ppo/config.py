@@ -1,0 +1,54 @@
+"""The settings of PPO; the paper's and our values are in `presets`."""
+
+import math
+from dataclasses import dataclass
+
+from assistax.errors import UsageError, choose
+from assistax.learning.networks import ACTIVATIONS
+
+
+@dataclass(frozen=True)
+class PPOConfig:
+    central_critic: bool = False  # critics see the global state (MAPPO) instead of the agent's own observation (IPPO)
+    recurrent: bool = False  # in actors a GRU of hidden[0] units in place of the first layer
+    share_parameters: bool = False  # one actor and one critic for all learners, told who they are
+    learning_rate: float = 3e-4
+    anneal_learning_rate: bool = False  # linearly to zero over the run
+    desired_kl: float = 0.0  # of an iteration: actors that move over twice as far slow down, see adapted_rate; 0: none
+    num_steps: int = 64  # per environment and iteration
+    update_epochs: int = 8
+    num_minibatches: int = 16
+    clip_eps: float = 0.2
+    clip_value: bool = False  # clip value changes like the policy's
+    entropy_coef: float = 1e-3
+    value_coef: float = 0.5
+    gamma: float = 0.99
+    gae_lambda: float = 0.95
+    max_grad_norm: float = 0.5  # per network
+    hidden: tuple[int, ...] = (128, 128)
+    activation: str = "tanh"
+    initial_log_std: float = 0.0
+    noise_correlation: float = 0.0  # of the exploration from step to step; log-probabilities are of each by itself
+    correlated_steps: int = 0  # environment steps after which that is 0, as long runs need; 0: never
+    normalize_obs: bool = True
+    stagger: bool = True  # start the environments at different times of their episodes
+
+    def __post_init__(self):
+        for name in ("num_steps", "update_epochs", "num_minibatches"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"ppo.{name} must be 1 or more, not {getattr(self, name)}.")
+        for name in ("learning_rate", "clip_eps", "max_grad_norm"):
+            if getattr(self, name) <= 0:
+                raise UsageError(f"ppo.{name} must be above 0, not {getattr(self, name)}.")
+        for name in ("gamma", "gae_lambda"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise UsageError(f"ppo.{name} must be in [0, 1], not {getattr(self, name)}.")
+        if not 0 <= self.noise_correlation < 1:
+            raise UsageError(f"ppo.noise_correlation must be in [0, 1), not {self.noise_correlation}.")
+        if self.correlated_steps < 0:
+            raise UsageError(f"ppo.correlated_steps must be 0 (all of the run) or more, not {self.correlated_steps}.")
+        if not 0 <= self.desired_kl < math.inf:
+            raise UsageError(f"ppo.desired_kl must be 0 (none) or above, not {self.desired_kl}.")
+        if not all(size > 0 for size in self.hidden) or (not self.hidden and (self.recurrent or self.share_parameters)):
+            raise UsageError(f"ppo.hidden must be the sizes of one layer or more, not {self.hidden}.")
+        choose("activation", self.activation, ACTIVATIONS)

@@ -1,0 +1,44 @@
+"""The settings of SAC; the paper's and our values are in `presets`."""
+
+from dataclasses import dataclass
+
+from assistax.errors import UsageError, choose
+from assistax.learning.networks import ACTIVATIONS
+
+
+@dataclass(frozen=True)
+class SACConfig:
+    joint_critics: bool = True  # MASAC; without, ISAC
+    actor_learning_rate: float = 3e-4
+    critic_learning_rate: float = 1e-3
+    alpha_learning_rate: float = 3e-4  # of the temperatures
+    tau: float = 0.005  # share of the critics that moves into their targets at every update
+    num_steps: int = 8  # per environment and iteration
+    updates: int = 32  # gradient steps per iteration
+    batch_size: int = 512  # transitions per gradient step
+    gamma: float = 0.99
+    buffer_size: int = 1_000_000  # transitions; about 0.5 GB, in memory and in every checkpoint
+    warmup: int = 5_000  # transitions played with uniformly random actions, before the policy plays
+    initial_alpha: float = 1.0
+    noise_correlation: float = 0.0  # of the exploration from one step to the next
+    hidden: tuple[int, ...] = (128, 128)
+    activation: str = "relu"
+    normalize_obs: bool = True
+    stagger: bool = True  # start the environments at different times of their episodes
+
+    def __post_init__(self):
+        for name in ("num_steps", "updates", "batch_size", "buffer_size"):
+            if getattr(self, name) < 1:
+                raise UsageError(f"sac.{name} must be 1 or more, not {getattr(self, name)}.")
+        if self.warmup < 0:
+            raise UsageError(f"sac.warmup must be 0 or more, not {self.warmup}.")
+        for name in ("actor_learning_rate", "critic_learning_rate", "alpha_learning_rate", "initial_alpha"):
+            if getattr(self, name) <= 0:
+                raise UsageError(f"sac.{name} must be above 0, not {getattr(self, name)}.")
+        if not 0 < self.tau <= 1:
+            raise UsageError(f"sac.tau must be in (0, 1], not {self.tau}.")
+        if not 0 <= self.gamma <= 1:
+            raise UsageError(f"sac.gamma must be in [0, 1], not {self.gamma}.")
+        if not 0 <= self.noise_correlation < 1:
+            raise UsageError(f"sac.noise_correlation must be in [0, 1), not {self.noise_correlation}.")
+        choose("activation", self.activation, ACTIVATIONS)

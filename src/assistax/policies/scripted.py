@@ -1,0 +1,66 @@
+"""Policies without parameters, by name: nobody, noise, the experts and people who react."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from assistax.errors import choose
+from assistax.policies.policy import Policy, Team
+
+
+@dataclass(frozen=True)
+class Still:
+    """Does nothing."""
+
+    action_size: int
+
+    def initial_carry(self):
+        return ()
+
+    def act(self, params, carry, obs, reset, key):
+        return jnp.zeros(self.action_size), carry
+
+
+@dataclass(frozen=True)
+class Random:
+    """Uniform in [-1, 1], afresh at every step."""
+
+    action_size: int
+
+    def initial_carry(self):
+        return ()
+
+    def act(self, params, carry, obs, reset, key):
+        return jax.random.uniform(key, (self.action_size,), minval=-1.0, maxval=1.0), carry
+
+
+SCRIPTED = {  # by name, who plays the robot and who the human
+    "still": ("still", "still"),
+    "random": ("random", "random"),
+    "expert": ("expert", "still"),
+    "considerate": ("considerate", "still"),
+    "offer": ("expert", "offer"),
+    "withdraw": ("expert", "withdraw"),
+}
+
+
+def scripted_policy(name: str, env, agent: str) -> Policy:
+    """The policy called `name` for one seat: "still", "random", the robot's "expert" or "considerate", the human's
+    "offer" or "withdraw"."""
+    from assistax.experts import Reflex, expert
+
+    size = env.action_sizes[agent]
+    makers: dict[str, Callable[[], Policy]] = {"still": lambda: Still(size), "random": lambda: Random(size)}
+    if agent == "robot":
+        makers |= {"expert": lambda: expert(env), "considerate": lambda: expert(env, considerate=True)}
+    else:
+        makers |= {"offer": lambda: Reflex(env, 1.0), "withdraw": lambda: Reflex(env, -1.0)}
+    return makers[choose(f"{agent}'s policy", name, makers)]()
+
+
+def scripted_team(name: str, env) -> Team:
+    """The team called `name`, see SCRIPTED; "expert" has a still human."""
+    seats = zip(env.agents, SCRIPTED[choose("policy", name, SCRIPTED)], strict=True)
+    return {agent: (scripted_policy(seat, env, agent), ()) for agent, seat in seats}
