@@ -30,9 +30,8 @@ from assistax.evaluation import EVALUATION_SEED, play, summarize
 from assistax.learning import presets
 from assistax.learning.checkpoint import write_atomically
 from assistax.learning.ppo import PPO, PPOConfig
-from assistax.learning.seats import Partner
 from assistax.physics import check_faults
-from assistax.policies import Still
+from assistax.policies import Player, Still
 from assistax.reference import markdown
 from assistax.stamp import stamp
 from assistax.statistics import seed_ci
@@ -65,7 +64,7 @@ class Trained(NamedTuple):
 
 def train_ours(env: Env, config: PPOConfig, num_envs: int, steps: int, seed: int) -> Trained:
     iterations = -(-steps // (num_envs * config.num_steps))
-    still = {"human": Partner(Still(env.action_sizes["human"]))}
+    still = {"human": Player(Still(env.action_sizes["human"]))}
     trainer = PPO(env, config, num_envs, iterations, still)
     state = jax.jit(trainer.init)(jax.random.key(seed))
     collect, improve = jax.jit(trainer.collect), jax.jit(trainer.improve)

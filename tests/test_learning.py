@@ -17,12 +17,12 @@ from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
 from assistax.learning.gae import gae
 from assistax.learning.networks import gaussian_entropy, gaussian_log_prob, init_mlp, mlp, remember
 from assistax.learning.normalizer import init_stats, normalize, update_stats
+from assistax.learning.partners import Partners
 from assistax.learning.ppo import PPO, PPOConfig, adapted_rate, clip_networks, clipped_policy_loss
 from assistax.learning.presets import PRESETS, preset
 from assistax.learning.sac import SACConfig
-from assistax.learning.seats import Partner, Seats
 from assistax.learning.tuned import tunable
-from assistax.policies import Random, Still
+from assistax.policies import Player, Random, Still
 from assistax.tasks import TASKS
 
 
@@ -326,7 +326,7 @@ def test_a_shared_network_has_no_dummy_dimensions():
     np.testing.assert_array_equal(human["layers"][1]["w"], robot["layers"][1]["w"])
 
 
-# -- seats ------------------------------------------------------------------------------------------
+# -- frozen partners --------------------------------------------------------------------------------
 
 
 @variants
@@ -336,13 +336,13 @@ def test_a_frozen_actor_acts_exactly_as_in_the_run_that_trained_it(variant):
     before = ppo.policy_params(state)
     # Two members: the second is the one that played, the first somebody else.
     stacked = jax.tree.map(lambda x: jnp.stack([x + 1.0, x]), before["human"])
-    seats = Seats(ppo.env, 4, {"human": Partner(ppo.policy(), stacked, 2)})
-    act = jax.jit(lambda seated, obs, reset, key: seats.act(seated, None, obs, reset, key))
-    seated = {"human": {"index": jnp.ones(4, jnp.int32), "carry": (state.memory["human"], jnp.zeros((4, 2)))}}
+    frozen = Partners(ppo.env, 4, {"human": Player(ppo.policy(), stacked, 2)})
+    act = jax.jit(lambda playing, obs, reset, key: frozen.act(playing, None, obs, reset, key))
+    playing = {"human": {"index": jnp.ones(4, jnp.int32), "carry": (state.memory["human"], jnp.zeros((4, 2)))}}
     assert np.asarray(batch["reset"])[1:].any()
     for t in range(12):
         obs = {a: x[t] for a, x in batch["obs"].items()}
-        actions, seated = act(seated, obs, batch["reset"][t], jax.random.key(t))
+        actions, playing = act(playing, obs, batch["reset"][t], jax.random.key(t))
         log_std = before["human"]["actor"]["log_std"]
         log_prob = gaussian_log_prob(batch["actions"]["human"][t], actions["human"], log_std)
         np.testing.assert_allclose(log_prob, batch["log_probs"]["human"][t], atol=1e-5)
@@ -373,7 +373,7 @@ def test_exploration_is_correlated_within_episodes_alike_in_training_and_as_a_pa
             assert abs(np.corrcoef(actions[t, :, 0], actions[t + 1, :, 0])[0, 1] - expected) < 0.07
 
 
-def test_a_seat_that_does_not_learn_is_left_alone():
+def test_a_frozen_partner_is_left_alone():
     """The human is played by three constant policies; only the robot has parameters, and it learns its part."""
 
     class Constant:
@@ -385,7 +385,7 @@ def test_a_seat_that_does_not_learn_is_left_alone():
             return params, carry
 
     constants = jnp.array([[0.1], [0.2], [0.3]])
-    partners = {"human": Partner(Constant(), constants, 3)}
+    partners = {"human": Player(Constant(), constants, 3)}
     ppo = PPO(Meeting(), PPOConfig(num_steps=20, num_minibatches=2, hidden=(8,)), 64, 3, partners)
     state = jax.jit(ppo.init)(jax.random.key(0))
     assert set(state.params) == set(state.normalizer) == {"robot"}
@@ -408,28 +408,28 @@ def test_a_seat_that_does_not_learn_is_left_alone():
 
 
 def test_members_are_drawn_afresh_only_where_an_episode_ended():
-    seats = Seats(Meeting(), 4000, {"robot": Partner(Still(2), jnp.zeros((5, 1)), 5)})
-    assert seats.learners == ("human",)
-    seated = seats.init(jax.random.key(0))
+    frozen = Partners(Meeting(), 4000, {"robot": Player(Still(2), jnp.zeros((5, 1)), 5)})
+    assert frozen.learners == ("human",)
+    playing = frozen.init(jax.random.key(0))
     done = jnp.arange(4000) < 2000
-    drawn = seats.redraw(seated, done, jax.random.key(1))
-    old, new = (np.asarray(s["robot"]["index"]) for s in (seated, drawn))
+    drawn = frozen.redraw(playing, done, jax.random.key(1))
+    old, new = (np.asarray(s["robot"]["index"]) for s in (playing, drawn))
     np.testing.assert_array_equal(old[2000:], new[2000:])
     for index in (old, new):
         assert np.abs(np.bincount(index, minlength=5) - 800).max() < 120  # 800 ± 4.7 standard deviations
     assert abs((old == new)[:2000].mean() - 0.2) < 0.05
 
 
-def test_seats_that_cannot_be_taken_are_refused():
-    still = Partner(Still(1))
+def test_partners_that_do_not_fit_are_refused():
+    still = Player(Still(1))
     with pytest.raises(UsageError, match="Did you mean 'human'"):
-        Seats(Meeting(), 2, {"humann": still})
+        Partners(Meeting(), 2, {"humann": still})
     with pytest.raises(UsageError, match="leave one to learn"):
-        Seats(Meeting(), 2, {"human": still, "robot": still})
+        Partners(Meeting(), 2, {"human": still, "robot": still})
     with pytest.raises(UsageError, match="stacked"):
-        Partner(Still(1), jnp.zeros((3, 1)), 4)
+        Partners(Meeting(), 2, {"human": Player(Still(1), jnp.zeros((3, 1)), 4)})
     with pytest.raises(UsageError, match="one member or more"):
-        Partner(Still(1), (), 0)
+        Player(Still(1), (), 0)
 
 
 def test_a_step_costs_the_same_with_630_members_as_with_two():
@@ -442,13 +442,13 @@ def test_a_step_costs_the_same_with_630_members_as_with_two():
     for members in (2, 630):
         params = jax.tree.map(lambda x, m=members: x[:m], {"actor": actor, "normalizer": ()})
         game = Meeting()
-        seats = Seats(game, 256, {"human": Partner(Actor(normalize_obs=False), params, members)})
-        steps[members] = jax.jit(lambda s, k, seats=seats: seats.act(s, None, obs, reset, k)), seats.init(key)
+        frozen = Partners(game, 256, {"human": Player(Actor(normalize_obs=False), params, members)})
+        steps[members] = jax.jit(lambda s, k, frozen=frozen: frozen.act(s, None, obs, reset, k)), frozen.init(key)
     times = {2: [], 630: []}
     for _ in range(15):
-        for members, (act, seated) in steps.items():
+        for members, (act, playing) in steps.items():
             began = time.perf_counter()
-            jax.block_until_ready(act(seated, key))
+            jax.block_until_ready(act(playing, key))
             times[members].append(time.perf_counter() - began)
     assert np.median(times[630][3:]) < 4.0 * np.median(times[2][3:])
 
@@ -458,7 +458,7 @@ def test_a_step_costs_the_same_with_630_members_as_with_two():
 
 def test_resume_equals_uninterrupted_to_the_bit_with_memory_and_partners(scratch, tmp_path):
     config = PPOConfig(num_steps=12, num_minibatches=2, update_epochs=1, hidden=(8, 8), recurrent=True)
-    partners = {"human": Partner(Random(scratch.action_sizes["human"]))}
+    partners = {"human": Player(Random(scratch.action_sizes["human"]))}
     ppo = PPO(scratch, config, 4, 4, partners)
     step = jax.jit(lambda state: ppo.improve(*ppo.collect(state))[0])
     state = jax.jit(ppo.init)(jax.random.key(0))

@@ -18,9 +18,9 @@ from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
 from assistax.learning.networks import init_mlp, mlp
 from assistax.learning.sac import SAC, SACConfig, temperature_loss
 from assistax.learning.sac.replay import Packing, add, init_replay, sample
-from assistax.learning.seats import Partner
 from assistax.learning.squashed import log_tanh_slope, sample_squashed, split_head, squashed_log_prob
 from assistax.learning.tuned import tunable
+from assistax.policies import Player
 
 
 class Carrying(Game):
@@ -320,18 +320,18 @@ def test_tuned_settings_stand_in_for_those_of_the_configuration():
 
 def partners(members=3):
     layers = jax.vmap(lambda key: init_mlp(key, (1, 8, 2), out_scale=1.0))(jax.random.split(jax.random.key(5), members))
-    return {"human": Partner(SquashedActor(normalize_obs=False), {"actor": {"layers": layers}}, members)}
+    return {"human": Player(SquashedActor(normalize_obs=False), {"actor": {"layers": layers}}, members)}
 
 
 def test_a_frozen_partner_plays_its_own_actions_and_learns_nothing():
     config = SACConfig(num_steps=10, updates=2, buffer_size=60, stagger=False)
-    seats = partners()
-    trainer = SAC(Carrying(), config, num_envs=6, total_iterations=1, partners=seats)
+    frozen = partners()
+    trainer = SAC(Carrying(), config, num_envs=6, total_iterations=1, partners=frozen)
     state, stats = train(trainer, 1)
     assert set(state.params["actor"]) == set(state.params["log_alpha"]) == set(stats) == {"robot"}
     rows = jax.tree.map(lambda x: np.asarray(x).reshape(10, 6, *x.shape[1:]), state.replay.rows)
     c = jnp.asarray(trainer._packing.unpack(rows["obs"])["human"])
-    policy, members = seats["human"].policy, seats["human"].params
+    policy, members = frozen["human"].policy, frozen["human"].params
 
     def every_member(obs):
         return jax.vmap(lambda params: policy.act(params, (), obs, False, jax.random.key(0))[0])(members)

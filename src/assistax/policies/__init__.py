@@ -1,6 +1,6 @@
-"""Who acts: the interface of a policy, teams of them, and the scripted ones."""
+"""Who acts: the interface of a policy, players and teams, and the scripted ones."""
 
-from assistax.policies.policy import Drawn, Policy, Team
+from assistax.policies.player import Player, Policy, Team, stack
 from assistax.policies.scripted import SCRIPTED, Random, Still, scripted_policy, scripted_team
 
-__all__ = ["SCRIPTED", "Drawn", "Policy", "Random", "Still", "Team", "scripted_policy", "scripted_team"]
+__all__ = ["SCRIPTED", "Player", "Policy", "Random", "Still", "Team", "scripted_policy", "scripted_team", "stack"]

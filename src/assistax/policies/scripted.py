@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from assistax.errors import choose
-from assistax.policies.policy import Policy, Team
+from assistax.policies.player import Player, Policy, Team
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ SCRIPTED = {  # by name, who plays the robot and who the human
 
 
 def scripted_policy(name: str, env, agent: str) -> Policy:
-    """The policy called `name` for one seat: "still", "random", the robot's "expert" or "considerate", the human's
+    """The policy called `name` for one agent: "still", "random", the robot's "expert" or "considerate", the human's
     "offer" or "withdraw"."""
     from assistax.experts import Reflex, expert
 
@@ -62,5 +62,5 @@ def scripted_policy(name: str, env, agent: str) -> Policy:
 
 def scripted_team(name: str, env) -> Team:
     """The team called `name`, see SCRIPTED; "expert" has a still human."""
-    seats = zip(env.agents, SCRIPTED[choose("policy", name, SCRIPTED)], strict=True)
-    return {agent: (scripted_policy(seat, env, agent), ()) for agent, seat in seats}
+    names = zip(env.agents, SCRIPTED[choose("policy", name, SCRIPTED)], strict=True)
+    return {agent: Player(scripted_policy(one, env, agent)) for agent, one in names}

@@ -31,10 +31,11 @@ from assistax.learning.networks import (
     unroll,
 )
 from assistax.learning.normalizer import init_stats, normalize, update_stats
+from assistax.learning.partners import Partners
 from assistax.learning.ppo.config import PPOConfig
 from assistax.learning.ppo.losses import adapted_rate, clip_networks, clipped_policy_loss, value_loss
-from assistax.learning.seats import Partner, Seats
 from assistax.learning.tuned import overlaid
+from assistax.policies import Player
 from assistax.pytree import pytree
 
 
@@ -51,7 +52,7 @@ class TrainState:
     reset: jax.Array  # [num_envs] whether obs begins an episode
     memory: dict[str, Any]  # learner -> its actor's carry before obs, [num_envs, units] or ()
     noise: dict[str, jax.Array]  # learner -> [num_envs, n], what it explored with before obs, in standard deviations
-    partner_state: dict[str, Any]  # who plays the seats that do not learn
+    partner_state: dict[str, Any]  # of the frozen partners, see Partners
     key: jax.Array
     iteration: jax.Array  # int32
     tuned: dict[str, jax.Array] = field(default_factory=dict)  # settings that stand in for the configuration's
@@ -64,7 +65,7 @@ class PPO:
       env: anything with the interface of `assistax.env.Env`.
       num_envs: environments stepped side by side.
       total_iterations: length of the run: what learning-rate annealing needs, and how `policy` explores.
-      partners: by agent, who plays the seats that do not learn.
+      partners: by agent, the frozen partners, who do not learn.
     """
 
     def __init__(
@@ -73,11 +74,11 @@ class PPO:
         config: PPOConfig,
         num_envs: int,
         total_iterations: int,
-        partners: Mapping[str, Partner] | None = None,
+        partners: Mapping[str, Player] | None = None,
     ):
         self.env, self.config, self.num_envs = env, config, num_envs
-        self.seats = Seats(env, num_envs, partners)
-        self.learners = self.seats.learners
+        self.partners = Partners(env, num_envs, partners)
+        self.learners = self.partners.learners
         self.steps_per_iteration = num_envs * config.num_steps
         if config.recurrent and num_envs % config.num_minibatches:
             raise UsageError(
@@ -101,7 +102,7 @@ class PPO:
         """A fresh state; `tuned` are settings by name that it carries in place of the configuration's."""
         tuned = dict(tuned or {})
         c, env = overlaid(self.config, tuned), self.env
-        key, reset_key, net_key, seat_key = jax.random.split(key, 4)
+        key, reset_key, net_key, partner_key = jax.random.split(key, 4)
         params = self._init_params(c, net_key)
         normalizer = {view: init_stats(size) for view, size in self._sizes.items()}
         # In step, all environments would be at the same moment of the task in every batch.
@@ -118,7 +119,7 @@ class PPO:
             reset=jnp.ones(self.num_envs, bool),
             memory=dict.fromkeys(self.learners, blank),
             noise={agent: jnp.zeros((self.num_envs, env.action_sizes[agent])) for agent in self.learners},
-            partner_state=self.seats.init(seat_key),
+            partner_state=self.partners.init(partner_key),
             key=key,
             iteration=jnp.int32(0),
             tuned=tuned,
@@ -176,7 +177,7 @@ class PPO:
         return c.noise_correlation * correlated
 
     def policy(self, deterministic: bool = True) -> Actor:
-        """What plays the learners' seats, with `policy_params`, outside of training: explores as the run ends."""
+        """The learners' policy, with `policy_params`, outside of training: explores as the run ends."""
         c = self.config
         longest = max(self.env.action_sizes[agent] for agent in self.learners)
         correlation = self._noise_correlation(c, self._last_iteration)
@@ -196,8 +197,8 @@ class PPO:
 
         def play(carry, key):
             env_state, obs, reset, memory, noise, partner_state, t = carry
-            seat_key, redraw_key, step_key, *action_keys = jax.random.split(key, 3 + len(self.learners))
-            actions, partner_state = self.seats.act(partner_state, env_state, obs, reset, seat_key)
+            partner_key, redraw_key, step_key, *action_keys = jax.random.split(key, 3 + len(self.learners))
+            actions, partner_state = self.partners.act(partner_state, env_state, obs, reset, partner_key)
             memory, noise, log_probs = dict(memory), dict(noise), {}
             for agent, action_key in zip(self.learners, action_keys, strict=True):
                 carry = memory[agent], noise[agent]
@@ -223,7 +224,7 @@ class PPO:
                 "done": done,
             }
             log = step_log(info, done & (t >= env.episode_length * c.stagger))
-            partner_state = self.seats.redraw(partner_state, done, redraw_key)
+            partner_state = self.partners.redraw(partner_state, done, redraw_key)
             return (env_state, next_obs, done, memory, noise, partner_state, t + 1), (played, log)
 
         key, rollout_key = jax.random.split(state.key)

@@ -22,11 +22,12 @@ from assistax.learning.gae import horizon
 from assistax.learning.log import iteration_log, step_log
 from assistax.learning.networks import init_mlp, mlp
 from assistax.learning.normalizer import RunningStats, init_stats, normalize, update_stats
+from assistax.learning.partners import Partners
 from assistax.learning.sac.config import SACConfig
 from assistax.learning.sac.replay import Packing, Replay, add, init_replay, sample
-from assistax.learning.seats import Partner, Seats
 from assistax.learning.squashed import sample_squashed, split_head
 from assistax.learning.tuned import overlaid
+from assistax.policies import Player
 from assistax.pytree import pytree
 
 
@@ -41,7 +42,7 @@ class SACState:
     env_state: Any  # [num_envs, ...]
     obs: dict[str, jax.Array]  # agent -> [num_envs, n]
     noise: dict[str, jax.Array]  # learner -> [num_envs, longest action], what it explored with before obs
-    partner_state: dict[str, Any]  # who plays the seats that do not learn
+    partner_state: dict[str, Any]  # of the frozen partners, see Partners
     others: dict[str, jax.Array]  # partner -> [num_envs, n], what it will do next
     key: jax.Array
     iteration: jax.Array  # int32
@@ -55,7 +56,7 @@ class SAC:
       env: anything with the interface of `assistax.env.Env`.
       num_envs: environments stepped side by side.
       total_iterations: length of the run; not used, as nothing is annealed.
-      partners: who plays the seats that do not learn.
+      partners: the frozen partners, who do not learn.
     """
 
     def __init__(
@@ -64,11 +65,11 @@ class SAC:
         config: SACConfig,
         num_envs: int,
         total_iterations: int,
-        partners: Mapping[str, Partner] | None = None,
+        partners: Mapping[str, Player] | None = None,
     ):
         self.env, self.config, self.num_envs = env, config, num_envs
-        self.seats = Seats(env, num_envs, partners)
-        self.learners = self.seats.learners
+        self.partners = Partners(env, num_envs, partners)
+        self.learners = self.partners.learners
         self.steps_per_iteration = num_envs * config.num_steps
         if config.buffer_size < self.steps_per_iteration:
             raise UsageError(
@@ -87,11 +88,11 @@ class SAC:
         """A fresh state; `tuned` are settings by name that it carries in place of the configuration's."""
         tuned = dict(tuned or {})
         c, env = overlaid(self.config, tuned), self.env
-        key, reset_key, actor_key, critic_key, seat_key, act_key = jax.random.split(key, 6)
+        key, reset_key, actor_key, critic_key, partner_key, act_key = jax.random.split(key, 6)
         # In step, all environments would be at the same moment of the task.
         elapsed = jnp.arange(self.num_envs) * env.episode_length // self.num_envs * c.stagger
         obs, env_state = jax.vmap(env.reset)(jax.random.split(reset_key, self.num_envs), elapsed)
-        partner_state = self.seats.init(seat_key)
+        partner_state = self.partners.init(partner_key)
         others, partner_state = self._partners_act(
             partner_state, env_state, obs, jnp.ones(self.num_envs, bool), act_key
         )
@@ -167,7 +168,7 @@ class SAC:
 
         def play(carry, key):
             env_state, obs, noise, partner_state, others, t = carry
-            act_key, random_key, step_key, redraw_key, seat_key = jax.random.split(key, 5)
+            act_key, random_key, step_key, redraw_key, partner_key = jax.random.split(key, 5)
             actions, noise = dict(others), dict(noise)
             for i, agent in enumerate(self.learners):
                 keys = jax.random.split(jax.random.fold_in(act_key, i), self.num_envs)
@@ -179,8 +180,8 @@ class SAC:
             step_keys = jax.random.split(step_key, self.num_envs)
             obs, env_state, rewards, terminated, truncated, info = jax.vmap(env.step)(step_keys, env_state, actions)
             done = terminated["__all__"] | truncated["__all__"]
-            partner_state = self.seats.redraw(partner_state, done, redraw_key)
-            next_others, partner_state = self._partners_act(partner_state, env_state, obs, done, seat_key)
+            partner_state = self.partners.redraw(partner_state, done, redraw_key)
+            next_others, partner_state = self._partners_act(partner_state, env_state, obs, done, partner_key)
             transition = {
                 "obs": row,
                 "next_obs": self._packing.pack(info["final_global_observation"], info["final_observation"]),
@@ -214,7 +215,7 @@ class SAC:
 
     def _partners_act(self, partner_state, env_state, obs, reset, key):
         """The partners' actions as the joints receive them, for the critics must not see more."""
-        actions, partner_state = self.seats.act(partner_state, env_state, obs, reset, key)
+        actions, partner_state = self.partners.act(partner_state, env_state, obs, reset, key)
         return jax.tree.map(lambda x: jnp.clip(x, -1.0, 1.0), actions), partner_state
 
     # -- learning ------------------------------------------------------------------------------

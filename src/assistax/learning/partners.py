@@ -1,0 +1,85 @@
+"""Who learns and who does not: every agent is a learner, or is played by a frozen partner.
+
+Ad-hoc teamwork is ordinary training with one agent given to a `Player`: a scripted policy, or a
+population of frozen ones of which every environment draws a member afresh for each episode.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from assistax.errors import UsageError, choose
+from assistax.policies import Player
+
+
+class Partners:
+    """The frozen partners in `num_envs` environments side by side; holds no state.
+
+    Args:
+      env: anything with the interface of `assistax.env.Env`.
+      num_envs: environments stepped side by side.
+      players: by agent, who plays it; agents without a player are the learners.
+    """
+
+    def __init__(self, env, num_envs: int, players: Mapping[str, Player] | None = None):
+        self.num_envs, self.players = num_envs, dict(players or {})
+        for agent, player in self.players.items():
+            choose("agent", agent, env.agents)
+            player.check()
+        self.learners = tuple(agent for agent in env.agents if agent not in self.players)
+        if not self.learners:
+            raise UsageError(f"Partners play all agents ({', '.join(self.players)}); leave one to learn.")
+
+    def init(self, key: jax.Array) -> dict[str, Any]:
+        """By agent: which member plays in each environment, "index" [num_envs], and its "carry"."""
+        state = {}
+        for agent, player in self.players.items():
+            carry = player.policy.initial_carry()
+            carry = jax.tree.map(lambda x: jnp.broadcast_to(x, (self.num_envs, *jnp.shape(x))), carry)
+            state[agent] = {"index": jnp.zeros(self.num_envs, jnp.int32), "carry": carry}
+        return self.redraw(state, jnp.ones(self.num_envs, bool), key)
+
+    def act(self, state, env_state, obs, reset, key):
+        """The partners' actions {agent: [num_envs, n]}, and `state` with their carries moved on.
+
+        Args:
+          state: what `init`, `redraw` or the last `act` returned.
+          env_state: EnvState [num_envs], shown to privileged policies.
+          obs: by agent [num_envs, n].
+          reset: [num_envs] whether this is the first step of an episode.
+          key: for policies that draw.
+        """
+        actions, moved = {}, {}
+        for i, (agent, player) in enumerate(self.players.items()):
+            seen = env_state if player.privileged else obs[agent]
+            index, carry = state[agent]["index"], state[agent]["carry"]
+            keys = jax.random.split(jax.random.fold_in(key, i), self.num_envs)
+            actions[agent], carry = _act(player, index, carry, seen, reset, keys)
+            moved[agent] = {"index": index, "carry": carry}
+        return actions, moved
+
+    def redraw(self, state, done, key):
+        """`state` with a fresh member, uniform over all, wherever an episode ended (done [num_envs])."""
+        drawn = {}
+        for i, (agent, player) in enumerate(self.players.items()):
+            fresh = player.draw(jax.random.fold_in(key, i), done.shape)
+            drawn[agent] = state[agent] | {"index": jnp.where(done, fresh, state[agent]["index"])}
+        return drawn
+
+
+def _act(player: Player, index, carry, seen, reset, keys):
+    """One step of a partner in all environments; what it costs does not grow with its members."""
+    act = player.policy.act
+    if player.members == 1:
+        return jax.vmap(act, (None, 0, 0, 0, 0))(player.member(0), carry, seen, reset, keys)
+
+    def one(args):
+        i, *rest = args
+        return act(player.member(i), *rest)
+
+    # A CPU reads the chosen weights where they are; gathering a copy for every environment costs six
+    # times as much there. An accelerator needs the environments side by side.
+    everywhere = jax.lax.map if jax.default_backend() == "cpu" else lambda f, args: jax.vmap(f)(args)
+    return everywhere(one, (index, carry, seen, reset, keys))
