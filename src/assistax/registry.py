@@ -1,0 +1,67 @@
+"""What other packages may add to: things by name, with those of installed packages found by their entry points.
+
+An installed package adds a task, an algorithm or a robot by an entry point in its pyproject.toml:
+
+    [project.entry-points."assistax.tasks"]
+    pouring = "my_package.pouring:SPEC"
+"""
+
+from collections.abc import Iterator, Mapping
+from importlib import metadata
+from typing import TypeVar
+
+from assistax.errors import UsageError, choose
+
+T = TypeVar("T")
+
+
+class Registry(Mapping[str, T]):
+    """Things by name, in the order in which they were registered.
+
+    Args:
+      what: what they are, in error messages ("algorithm").
+      group: the entry points that name more of them ("assistax.algorithms"); read at the first look-up.
+    """
+
+    def __init__(self, what: str, group: str):
+        self._what, self._group = what, group
+        self._things: dict[str, T] = {}
+        self._found = False
+
+    def register(self, name: str, thing: T) -> T:
+        """Add a thing; raises UsageError if the name is another's."""
+        if self._things.setdefault(name, thing) is not thing:
+            raise UsageError(f"There is a {self._what} named {name!r} already; choose another name.")
+        return thing
+
+    def __getitem__(self, name: str) -> T:
+        """Raises UsageError, with the names there are, for one that is not registered."""
+        self._find()
+        return self._things[choose(self._what, name, self._things)]
+
+    def __contains__(self, name: object) -> bool:
+        self._find()
+        return name in self._things
+
+    def __iter__(self) -> Iterator[str]:
+        self._find()
+        return iter(self._things)
+
+    def __len__(self) -> int:
+        self._find()
+        return len(self._things)
+
+    def _find(self) -> None:
+        if self._found:
+            return
+        self._found = True
+        for point in metadata.entry_points(group=self._group):
+            try:
+                self.register(point.name, point.load())
+            except UsageError:
+                raise
+            except Exception as error:  # another package's code can fail in any way; say whose
+                raise UsageError(
+                    f"The {self._what} {point.name!r} of an installed package cannot be loaded from {point.value}: "
+                    f"{type(error).__name__}: {error}"
+                ) from error
