@@ -26,15 +26,15 @@ from tqdm import tqdm
 from assistax.cli.common import Task
 from assistax.env import Env, make
 from assistax.errors import AssistaxError, SimulationError, UsageError
-from assistax.evaluation import EVALUATION_SEED, play, summarize
+from assistax.evaluation.playing import EVALUATION_SEED, play, summarize
+from assistax.evaluation.statistics import seed_ci
 from assistax.learning import presets
-from assistax.learning.checkpoint import write_atomically
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.physics import check_faults
 from assistax.policies import Player, Still
 from assistax.reference import markdown
 from assistax.stamp import stamp
-from assistax.statistics import seed_ci
+from assistax.training.checkpoint import write_atomically
 
 try:
     from brax.envs.base import State

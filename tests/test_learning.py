@@ -13,17 +13,17 @@ from scipy import stats as scipy_stats
 
 from assistax.errors import UsageError
 from assistax.learning.actors import Actor
-from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
 from assistax.learning.gae import gae
 from assistax.learning.networks import gaussian_entropy, gaussian_log_prob, init_mlp, mlp, remember
 from assistax.learning.normalizer import init_stats, normalize, update_stats
 from assistax.learning.partners import Partners
 from assistax.learning.ppo import PPO, PPOConfig, adapted_rate, clip_networks, clipped_policy_loss
-from assistax.learning.presets import PRESETS, preset
 from assistax.learning.sac import SACConfig
 from assistax.learning.tuned import tunable
 from assistax.policies import Player, Random, Still
 from assistax.tasks import TASKS
+from assistax.training.checkpoint import load_checkpoint, save_checkpoint
+from assistax.training.presets import PRESETS, preset
 
 
 def test_gae_by_hand():

@@ -14,13 +14,13 @@ from games import Game
 
 from assistax.errors import UsageError
 from assistax.learning.actors import SquashedActor
-from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
 from assistax.learning.networks import init_mlp, mlp
 from assistax.learning.sac import SAC, SACConfig, temperature_loss
 from assistax.learning.sac.replay import Packing, add, init_replay, sample
 from assistax.learning.squashed import log_tanh_slope, sample_squashed, split_head, squashed_log_prob
 from assistax.learning.tuned import tunable
 from assistax.policies import Player
+from assistax.training.checkpoint import load_checkpoint, save_checkpoint
 
 
 class Carrying(Game):

@@ -20,21 +20,21 @@ from typing import Any
 import jax
 import numpy as np
 
-from assistax.clock import Clock, Stop, progress_bar
-from assistax.config import with_settings
 from assistax.env import Env
 from assistax.errors import UsageError, choose
-from assistax.evaluation import Player, by_episode, summarize, typical
-from assistax.figures import learning_curve
-from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
+from assistax.evaluation.film import film
+from assistax.evaluation.playing import Player, by_episode, summarize, typical
 from assistax.learning.seats import Partner
-from assistax.learning.seeds import Seeds
 from assistax.physics import check_faults
 from assistax.policies import Drawn, Policy, Team, scripted_policy
-from assistax.results import read_rows
+from assistax.results.figures import learning_curve
+from assistax.results.stored import read_rows
+from assistax.settings import with_settings
 from assistax.stamp import peak_memory_mb, stamp
-from assistax.train_config import TRAINERS, TrainConfig, stored_config, to_json
-from assistax.viewing import film
+from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
+from assistax.training.clock import Clock, Stop, progress_bar
+from assistax.training.configuration import TRAINERS, TrainConfig, stored_config, to_json
+from assistax.training.seeds import Seeds
 
 CHECKPOINT_SECONDS = 60.0
 
@@ -297,7 +297,7 @@ def find_partner(name: str, env: Env, agent: str) -> Partner:
       agent: the seat.
     """
     if name == "trained" or name.endswith(".safetensors"):
-        from assistax.team_file import load_team, trained_file
+        from assistax.training.team_file import load_team, trained_file
 
         policy, params = load_team(trained_file(env.name) if name == "trained" else Path(name))[1][agent]
         return Partner(policy, jax.tree.map(lambda x: x[None], params))

@@ -1,0 +1,1 @@
+"""Is the installation sound, and how fast is it here?"""

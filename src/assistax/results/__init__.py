@@ -1,0 +1,1 @@
+"""What finished runs have come to: their folders read, pooled over seeds, compared, drawn."""
