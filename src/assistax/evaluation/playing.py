@@ -1,6 +1,5 @@
 """Play a team on fixed seeds and say how it did: whole episodes, each counted once."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -11,28 +10,27 @@ from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.evaluation.statistics import bootstrap_ci, proportion_ci
 from assistax.physics import check_faults
-from assistax.policies import Policy, Team
+from assistax.policies import Team
 
 EVALUATION_SEED = 20_260_000  # evaluation draws are the same for all runs, and not those of training
 
 
-class Player:
-    """Plays whole episodes with the same policies and any parameters: compiled once.
+class Evaluator:
+    """Plays whole episodes in one environment with any team; compiled once for teams of the same policies.
 
     Args:
       env: where.
-      policies: by agent.
       episodes: how many, side by side.
     """
 
-    def __init__(self, env: Env, policies: Mapping[str, Policy], episodes: int):
+    def __init__(self, env: Env, episodes: int):
         if episodes < 1:
             raise UsageError(f"episodes must be 1 or more, not {episodes}.")
-        self.env, self.policies, self.episodes = env, dict(policies), episodes
+        self.env, self.episodes = env, episodes
         self._play = jax.jit(jax.vmap(self._one, (None, 0)))
 
-    def __call__(self, params: Mapping[str, Any], seed: int = EVALUATION_SEED) -> dict[str, Any]:
-        """Play with `params`, by agent.
+    def __call__(self, team: Team, seed: int = EVALUATION_SEED) -> dict[str, Any]:
+        """Play.
 
         Returns:
           arrays by name, first axis the episode: "terms" (each reward term's sum over the episode),
@@ -40,24 +38,31 @@ class Player:
           [episodes, T] whether the episode was still on, "qpos" [episodes, T, nq], "marker" [.., T, 3],
           "person" [episodes] the row of the list of people that the reset drew.
         """
+        for player in team.values():
+            player.check()
         keys = jax.random.split(jax.random.key(seed), self.episodes)
-        result = jax.tree.map(np.asarray, self._play(dict(params), keys))
+        result = jax.tree.map(np.asarray, self._play(team, keys))
         check_faults(result["fault"], self.env.engine.name)
         return result
 
-    def _one(self, params, key):
-        env, policies = self.env, self.policies
+    def _one(self, team: Team, key):
+        env = self.env
         reset_key, key = jax.random.split(key)
         obs, state = env.reset(reset_key)
         person = state.person.index
-        carries = {agent: policy.initial_carry() for agent, policy in policies.items()}
+        params = {}
+        for i, agent in enumerate(env.agents):
+            drawn = team[agent].draw(jax.random.fold_in(reset_key, i)) if team[agent].members > 1 else 0
+            params[agent] = team[agent].member(drawn)
+        carries = {agent: player.policy.initial_carry() for agent, player in team.items()}
 
         def step(carry, key):
             state, obs, carries, playing, first = carry
             actions = {}
-            for (agent, policy), k in zip(policies.items(), jax.random.split(key, len(policies)), strict=True):
-                seen = state if getattr(policy, "privileged", False) else obs[agent]
-                actions[agent], carries[agent] = policy.act(params[agent], carries[agent], seen, first, k)
+            for agent, k in zip(env.agents, jax.random.split(key, env.num_agents), strict=True):
+                seen = state if team[agent].privileged else obs[agent]
+                act = team[agent].policy.act
+                actions[agent], carries[agent] = act(params[agent], carries[agent], seen, first, k)
             state, obs, _, terminated, truncated, info = env.step_env(state, actions)
             still_on = playing & ~(terminated["__all__"] | truncated["__all__"])
             out = {k: info[k] for k in ("reward_terms", "metrics", "force", "fault")}
@@ -78,13 +83,12 @@ class Player:
 
 
 def play(env: Env, team: Team, episodes: int, seed: int = EVALUATION_SEED) -> dict[str, Any]:
-    """Play a team once, see Player."""
-    policies = {agent: policy for agent, (policy, _) in team.items()}
-    return Player(env, policies, episodes)({agent: params for agent, (_, params) in team.items()}, seed)
+    """Play a team once, see Evaluator."""
+    return Evaluator(env, episodes)(team, seed)
 
 
 def by_episode(result: dict[str, Any]) -> dict[str, Any]:
-    """What a Player returned, without its time series, ready for JSON: lists with a number per episode."""
+    """What an Evaluator returned, without its time series, ready for JSON: lists with a number per episode."""
     return jax.tree.map(lambda x: np.round(x.astype(float), 4).tolist(), {k: result[k] for k in ("metrics", "terms")})
 
 

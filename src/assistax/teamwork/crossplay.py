@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from assistax.env import Env
 from assistax.errors import UsageError
-from assistax.evaluation.playing import EVALUATION_SEED, Player, summarize
+from assistax.evaluation.playing import EVALUATION_SEED, Evaluator, summarize
 from assistax.policies import Team
 from assistax.results.figures import STYLE
 from assistax.results.stored import flat
@@ -54,7 +54,7 @@ def cross_play(entrants: Sequence[Entrant], episodes: int = 64, seed: int = EVAL
       UsageError: fewer than two teams, or teams whose task, settings or observations differ.
     """
     _check(entrants)
-    players: dict[Any, Player] = {}
+    evaluators: dict[int, Evaluator] = {}
     matrices = {name: np.zeros((len(entrants),) * 2) for name in ("return", "success", "force_in_contact")}
     steps = episodes * entrants[0].env.episode_length
     with progress_bar(steps * len(entrants) ** 2, 0) as bar:
@@ -62,9 +62,8 @@ def cross_play(entrants: Sequence[Entrant], episodes: int = 64, seed: int = EVAL
             for j, human in enumerate(entrants):
                 env = next(e.env for e in entrants if _settings(e.env) == _settings(human.env))  # compiled once
                 team = {"robot": robot.team["robot"], "human": human.team["human"]}
-                policies = {agent: policy for agent, (policy, _) in team.items()}
-                player = players.setdefault((id(env), *policies.values()), Player(env, policies, episodes))
-                said = summarize(player({agent: params for agent, (_, params) in team.items()}, seed))
+                evaluator = evaluators.setdefault(id(env), Evaluator(env, episodes))
+                said = summarize(evaluator(team, seed))
                 matrices["return"][i, j] = said["mean_return"]
                 matrices["success"][i, j] = said["success_rate"]
                 matrices["force_in_contact"][i, j] = said["force"]["mean_in_contact"]
@@ -97,7 +96,7 @@ def _check(entrants: Sequence[Entrant]) -> None:
         sizes = human.env.observation_sizes
         for robot in entrants:
             size = robot.env.observation_sizes["robot"]
-            if size != sizes["robot"] and jax.tree.leaves(robot.team["robot"][1]):  # scripted ones read none of it
+            if size != sizes["robot"] and jax.tree.leaves(robot.team["robot"].params):  # scripted ones read none of it
                 raise UsageError(
                     f"The robot of {robot.name} observes {size} numbers and would get {sizes['robot']} beside the "
                     f"person of {human.name}: one of them was trained with preferences to be seen, the other without."
