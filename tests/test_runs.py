@@ -15,7 +15,8 @@ import pytest
 from safetensors.numpy import load_file
 
 from assistax.errors import UsageError
-from assistax.runs import Run, find_partner
+from assistax.partners import find_partner
+from assistax.runs import Run
 from assistax.team_file import load_team, save_team
 from assistax.train_config import configure
 
