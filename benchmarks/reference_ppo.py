@@ -27,8 +27,8 @@ from assistax.cli.common import Task
 from assistax.env import Env, make
 from assistax.errors import AssistaxError, SimulationError, UsageError
 from assistax.evaluation import EVALUATION_SEED, play, summarize
+from assistax.files import write_atomically
 from assistax.learning import presets
-from assistax.learning.checkpoint import write_atomically
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.learning.seats import Partner
 from assistax.physics import check_faults

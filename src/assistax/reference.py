@@ -20,8 +20,8 @@ from assistax.errors import choose
 from assistax.evaluation import evaluate, play, summarize
 from assistax.experts import BOUNDS
 from assistax.figures import learning_curves
+from assistax.files import write_atomically
 from assistax.human import DISABILITIES
-from assistax.learning.checkpoint import write_atomically
 from assistax.policies import scripted_team
 from assistax.results import experiments, find_runs
 from assistax.stamp import commit

@@ -26,7 +26,8 @@ from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.evaluation import Player, by_episode, summarize, typical
 from assistax.figures import learning_curve
-from assistax.learning.checkpoint import load_checkpoint, save_checkpoint, write_atomically
+from assistax.files import write_atomically
+from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
 from assistax.learning.seeds import Seeds
 from assistax.partners import find_partners
 from assistax.physics import check_faults

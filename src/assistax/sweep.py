@@ -31,7 +31,8 @@ from tqdm import tqdm
 from assistax.clock import Clock, Stop, progress_bar
 from assistax.config import with_settings
 from assistax.errors import UsageError
-from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
+from assistax.files import write_atomically
+from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint
 from assistax.learning.search import Search, draw, intervals
 from assistax.learning.seeds import Lanes
 from assistax.learning.tuned import tunable
