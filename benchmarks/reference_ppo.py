@@ -3,7 +3,7 @@
 uv run --group compare python benchmarks/reference_ppo.py
 
 Only the robot learns; the human is still. All trainers see the same environments, staggered alike and with fresh
-targets in every episode, for the same number of steps; their policies are played by `assistax.evaluation.play` on
+targets in every episode, for the same number of steps; their policies are played by `assistax.evaluation.playing.play` on
 the same seeds.
 """
 
@@ -21,21 +21,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import tyro
+from assistax.files import write_atomically
+from assistax.learning.seats import Partner
 from tqdm import tqdm
 
 from assistax.cli.common import Task
 from assistax.env import Env, make
 from assistax.errors import AssistaxError, SimulationError, UsageError
-from assistax.evaluation import EVALUATION_SEED, play, summarize
-from assistax.files import write_atomically
+from assistax.evaluation.playing import EVALUATION_SEED, play, summarize
+from assistax.evaluation.statistics import seed_ci
 from assistax.learning import presets
 from assistax.learning.ppo import PPO, PPOConfig
-from assistax.learning.seats import Partner
 from assistax.physics import check_faults
 from assistax.policies import Still
 from assistax.reference import markdown
 from assistax.stamp import stamp
-from assistax.statistics import seed_ci
 
 try:
     from brax.envs.base import State

@@ -5,7 +5,7 @@ import pytest
 
 import assistax
 from assistax.errors import UsageError
-from assistax.evaluation import evaluate
+from assistax.evaluation.playing import evaluate
 from assistax.policies import Actor, scripted_policy, scripted_team
 from assistax.teamwork.crossplay import Entrant, cross_play, picture, table
 

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 import assistax
-from assistax import scenes, spatial
+from assistax import scenes
 from assistax.errors import UsageError
-from assistax.evaluation import play
-from assistax.experts import BOUNDS, EXPERTS, Reflex, expert
+from assistax.evaluation.playing import play
 from assistax.policies import SCRIPTED, scripted_team
+from assistax.policies.experts import BOUNDS, EXPERTS, Reflex, expert
+from assistax.scenes import geometry
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +28,7 @@ def test_chain_equals_mujocos_site_and_jacobian(envs, name, site):
     model = envs[name].model
     joints = scenes.ROBOT_JOINTS if site == "tool_tip" else scenes.HUMAN_JOINTS
     on_path = {"mouth": joints[:3], "wrist_target": joints[2:6]}.get(site, joints)
-    chain = spatial.Chain(model, site, on_path)
+    chain = geometry.Chain(model, site, on_path)
     data, ids, jac = mujoco.MjData(model), scenes.qpos_ids(model, on_path), np.zeros((6, model.nv))
     rng = np.random.default_rng(0)
     for _ in range(5):

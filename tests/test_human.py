@@ -14,13 +14,13 @@ from conftest import random_actions
 
 import assistax
 from assistax import cli
-from assistax.config import with_settings
 from assistax.env import EnvConfig
-from assistax.evaluation import evaluate
+from assistax.evaluation.playing import evaluate
 from assistax.human import DISABILITIES, HumanConfig, Person, disability, population, preference
 from assistax.human.profile import stack, unstack
-from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
 from assistax.policies import scripted_team
+from assistax.settings import with_settings
+from assistax.training.checkpoint import load_checkpoint, save_checkpoint
 
 
 def same(tree, other):

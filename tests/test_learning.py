@@ -8,21 +8,21 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from assistax.learning.seats import Partner, Seats
 from games import Cue, Meeting, Weather
 from scipy import stats as scipy_stats
 
 from assistax.errors import UsageError
-from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
 from assistax.learning.gae import gae
 from assistax.learning.networks import gaussian_entropy, gaussian_log_prob, init_mlp, mlp, remember
 from assistax.learning.normalizer import init_stats, normalize, update_stats
 from assistax.learning.ppo import PPO, PPOConfig, clip_networks, clipped_policy_loss, next_pace
-from assistax.learning.presets import PRESETS, preset
 from assistax.learning.sac import SACConfig
-from assistax.learning.seats import Partner, Seats
 from assistax.learning.tuned import tunable
 from assistax.policies import Actor, Random, Still
 from assistax.tasks import TASKS
+from assistax.training.checkpoint import load_checkpoint, save_checkpoint
+from assistax.training.presets import PRESETS, preset
 
 
 def test_gae_by_hand():

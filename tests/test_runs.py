@@ -12,13 +12,13 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from assistax.training.partners import find_partner
 from safetensors.numpy import load_file
 
 from assistax.errors import UsageError
-from assistax.partners import find_partner
-from assistax.runs import Run
-from assistax.team_file import load_team, save_team
-from assistax.train_config import configure
+from assistax.training.configuration import configure
+from assistax.training.run import Run
+from assistax.training.team_file import load_team, save_team
 
 SMALL = {"ppo.num_steps": 8, "ppo.num_minibatches": 2, "ppo.update_epochs": 1, "ppo.hidden": (8, 8)}
 SMALL |= {"env.episode_length": 16}
@@ -173,7 +173,7 @@ class _no_clock:
 TRAIN = """
 import sys
 from pathlib import Path
-import assistax.runs as runs
+import assistax.training.run as runs
 runs.CHECKPOINT_SECONDS = 0.1
 runs.Run.open(Path(sys.argv[1])).train()
 """

@@ -10,17 +10,17 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pytest
+from assistax.learning.replay import Packing, add, init_replay, sample
+from assistax.learning.seats import Partner
 from games import Game
 
 from assistax.errors import UsageError
-from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
 from assistax.learning.networks import init_mlp, mlp
-from assistax.learning.replay import Packing, add, init_replay, sample
 from assistax.learning.sac import SAC, SACConfig, move_target, temperature_loss
-from assistax.learning.seats import Partner
 from assistax.learning.squashed import log_tanh_slope, sample_squashed, split_head, squashed_log_prob
 from assistax.learning.tuned import tunable
 from assistax.policies import SquashedActor
+from assistax.training.checkpoint import load_checkpoint, save_checkpoint
 
 
 class Carrying(Game):

@@ -5,7 +5,7 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from assistax.statistics import iqm, mean, probability_of_improvement, seed_ci, student_t
+from assistax.evaluation.statistics import iqm, mean, probability_of_improvement, seed_ci, student_t
 
 
 def test_student_t_is_that_of_the_tables():

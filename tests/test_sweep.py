@@ -13,15 +13,15 @@ import pytest
 from games import Cue
 from scipy import stats as scipy_stats
 
-import assistax.sweep
-from assistax.config import with_settings
+import assistax.training.sweep
 from assistax.errors import UsageError
-from assistax.learning.presets import PRESETS
-from assistax.learning.search import SEARCH, choices, draw, intervals
-from assistax.runs import Run
-from assistax.sweep import Program, Sweep, outcome, rank
-from assistax.sweep_figures import facets, overview
-from assistax.train_config import TRAINERS, configure
+from assistax.settings import with_settings
+from assistax.training.configuration import TRAINERS, configure
+from assistax.training.presets import PRESETS
+from assistax.training.run import Run
+from assistax.training.search import SEARCH, choices, draw, intervals
+from assistax.training.sweep import Program, Sweep, outcome, rank
+from assistax.training.sweep_figures import facets, overview
 
 ENVS, STEPS = 8, 5 * 8 * 10  # five iterations
 SMALL = {"ppo.hidden": (8,), "ppo.num_steps": 10, "ppo.update_epochs": 2, "ppo.num_minibatches": 2}
@@ -41,9 +41,9 @@ def program(algorithm, count, platform):
 def game(monkeypatch):
     """Sweeps play a tiny game instead of physics."""
     monkeypatch.setattr(Cue, "engine", SimpleNamespace(name="mujoco"), raising=False)
-    monkeypatch.setattr("assistax.runs.Env", lambda *_: Cue())
+    monkeypatch.setattr("assistax.training.run.Env", lambda *_: Cue())
     monkeypatch.setattr(
-        "assistax.sweep.Program", lambda run, n: program(run.config.algorithm, n, jax.default_backend())
+        "assistax.training.sweep.Program", lambda run, n: program(run.config.algorithm, n, jax.default_backend())
     )
 
 
@@ -213,7 +213,7 @@ def test_stopped_anywhere_and_resumed_a_sweep_ends_as_one_left_alone(whole, tmp_
     folder, finished, result = tmp_path / "stopped", [], None
     Sweep.create(small(), folder, 2, SEARCHED)
     for times in (7, 2, 0, 6, 1000):
-        monkeypatch.setattr(assistax.sweep, "Stop", StopAfter(times))
+        monkeypatch.setattr(assistax.training.sweep, "Stop", StopAfter(times))
         sweep = Sweep.open(folder)
         result = sweep.run()
         finished.append(len(lines(sweep)))

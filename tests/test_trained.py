@@ -2,8 +2,8 @@
 
 import pytest
 
-from assistax.evaluation import play
-from assistax.team_file import TRAINED, load_team, trained_file
+from assistax.evaluation.playing import play
+from assistax.training.team_file import TRAINED, load_team, trained_file
 
 
 @pytest.mark.parametrize("path", sorted(TRAINED.glob("*.safetensors")), ids=lambda path: path.stem)

@@ -17,12 +17,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax import scenes
-from assistax.batching import map_where, whole_batch
-from assistax.config import with_settings
 from assistax.errors import UsageError, choose
 from assistax.human import HumanConfig, HumanProfile, disability, preference
 from assistax.physics import PhysicsState, make_engine
+from assistax.physics.batching import map_where, whole_batch
 from assistax.pytree import pytree
+from assistax.settings import with_settings
 from assistax.tasks import task_class
 from assistax.tasks.base import Sensors, TaskState
 from assistax.tasks.rewards import norm

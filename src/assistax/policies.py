@@ -143,7 +143,7 @@ Team = dict[str, tuple[Policy, Any]]
 def scripted_policy(name: str, env, agent: str) -> Policy:
     """The policy called `name` for one seat: "still", "random", the robot's "expert" or "considerate", the human's
     "offer" or "withdraw"."""
-    from assistax.experts import Reflex, expert
+    from assistax.policies.experts import Reflex, expert
 
     size = env.action_sizes[agent]
     makers: dict[str, Callable[[], Policy]] = {"still": lambda: Still(size), "random": lambda: Random(size)}

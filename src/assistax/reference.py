@@ -14,16 +14,16 @@ from typing import Any
 import jax
 import numpy as np
 
-from assistax.comparison import read_references, report, tables
 from assistax.env import make
 from assistax.errors import choose
-from assistax.evaluation import evaluate, play, summarize
-from assistax.experts import BOUNDS
-from assistax.figures import learning_curves
+from assistax.evaluation.playing import evaluate, play, summarize
 from assistax.files import write_atomically
 from assistax.human import DISABILITIES
 from assistax.policies import scripted_team
-from assistax.results import experiments, find_runs
+from assistax.policies.experts import BOUNDS
+from assistax.results.comparison import read_references, report, tables
+from assistax.results.figures import learning_curves
+from assistax.results.stored import experiments, find_runs
 from assistax.stamp import commit
 from assistax.teamwork import crossplay
 

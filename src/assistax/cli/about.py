@@ -83,7 +83,7 @@ def doctor(*, json: Json = False) -> None:
     Args:
       json: print JSON.
     """
-    from assistax.doctor import diagnose
+    from assistax.diagnostics.doctor import diagnose
 
     report = diagnose()
     if json:
@@ -113,7 +113,7 @@ def bench(
       train: also time IPPO training with the paper's preset.
       json: print JSON.
     """
-    from assistax.bench import bench, bench_training
+    from assistax.diagnostics.bench import bench, bench_training
     from assistax.env import make
 
     env = make(task, engine)

@@ -17,13 +17,13 @@ Set = Annotated[tuple[str, ...], arg(name="set", metavar="NAME=VALUE ...")]
 
 def teams_of(target: str, policy: str | None, engine: str | None, assignments: tuple[str, ...]):
     """(env, teams by seed, what they are) of a run folder, a team file, or a task with a policy's name."""
-    from assistax.config import parse_assignments
     from assistax.env import Env
     from assistax.policies import scripted_team
-    from assistax.runs import Run
+    from assistax.settings import parse_assignments
     from assistax.tasks import TASKS
-    from assistax.team_file import load_team, trained_file
-    from assistax.train_config import configure
+    from assistax.training.configuration import configure
+    from assistax.training.run import Run
+    from assistax.training.team_file import load_team, trained_file
 
     settings = parse_assignments(assignments)
     if policy == "trained":

@@ -40,8 +40,8 @@ def crossplay(
       out: a .png, .svg or .pdf of the matrix of returns.
       json: print JSON instead of a table.
     """
-    from assistax.evaluation import EVALUATION_SEED
-    from assistax.figures import check_format
+    from assistax.evaluation.playing import EVALUATION_SEED
+    from assistax.results.figures import check_format
     from assistax.stamp import stamp
     from assistax.teamwork.crossplay import cross_play, picture, table
 

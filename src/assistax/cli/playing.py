@@ -26,7 +26,7 @@ def play(
       engine: auto, mujoco, warp or mjx.
       set: change any setting, for example env.human.disability=tremor, as in `assistax evaluate`.
     """
-    from assistax.evaluation import play, summarize, typical
+    from assistax.evaluation.playing import play, summarize, typical
 
     path = _film_path(out)
     env, teams, about = teams_of(task, "trained", engine, set)
@@ -64,7 +64,7 @@ def evaluate(
         env.human.disability, .preference, .people, .visibility.
       json: print JSON instead of a table.
     """
-    from assistax.evaluation import EVALUATION_SEED, play, summarize
+    from assistax.evaluation.playing import EVALUATION_SEED, play, summarize
 
     env, teams, about = teams_of(target, policy, engine, set)
     start = EVALUATION_SEED if seed is None else seed
@@ -107,7 +107,7 @@ def render(
       view: camera: main or close.
     """
     from assistax.errors import choose
-    from assistax.evaluation import EVALUATION_SEED, play
+    from assistax.evaluation.playing import EVALUATION_SEED, play
 
     choose("view", view, ["main", "close"])
     path = _film_path(out)
@@ -124,8 +124,8 @@ def export(run: Annotated[Path, tyro.conf.Positional], *, out: Path, seed: int |
       out: NAME.safetensors.
       seed: which of the run's seeds (default the first).
     """
-    from assistax.runs import Run
-    from assistax.team_file import save_team
+    from assistax.training.run import Run
+    from assistax.training.team_file import save_team
 
     found = Run.open(run)
     seeds = list(found.seeds.seeds)
@@ -142,10 +142,10 @@ def gallery(*, out: Path = Path("docs/images")) -> None:
       out: folder for TASK.png and TASK.webp; must exist.
     """
     from assistax.env import make
-    from assistax.evaluation import play, typical
+    from assistax.evaluation.film import film
+    from assistax.evaluation.playing import play, typical
     from assistax.policies import scripted_team
     from assistax.tasks import TASKS
-    from assistax.viewing import film
 
     if not out.is_dir():
         raise UsageError(f"The folder {out} does not exist.")
@@ -163,7 +163,7 @@ def gallery(*, out: Path = Path("docs/images")) -> None:
 
 def _film_path(out: Path | None) -> Path | None:
     """`out`, if a film can go there; asked before anything is played."""
-    from assistax.viewing import check_format
+    from assistax.evaluation.film import check_format
 
     if out is not None:
         check_format(out)
@@ -174,7 +174,7 @@ def _film_path(out: Path | None) -> Path | None:
 
 def _film(env, result, episode: int, path: Path | None, **camera) -> None:
     """Film one episode of what a Player returned; without a path into TASK.mp4."""
-    from assistax.viewing import film
+    from assistax.evaluation.film import film
 
     path = path or Path(f"{env.name}.mp4")
     on = result["playing"][episode]

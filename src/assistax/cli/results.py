@@ -30,9 +30,9 @@ def table(runs: Runs = (), *, compare: bool = False, markdown: bool = False, jso
       markdown: print Markdown.
       json: print JSON, with seeds, commits, versions and hardware.
     """
-    from assistax.comparison import read_references, report, tables
     from assistax.reference import markdown as as_markdown
-    from assistax.results import experiments, find_runs
+    from assistax.results.comparison import read_references, report, tables
+    from assistax.results.stored import experiments, find_runs
 
     if json and markdown:
         raise UsageError("Choose one of --json and --markdown.")
@@ -74,9 +74,9 @@ def plot(
         it, else bound).
       out: a .png, .svg or .pdf.
     """
-    from assistax.comparison import read_references
-    from assistax.figures import check_format, learning_curves
-    from assistax.results import differences, experiments, find_runs
+    from assistax.results.comparison import read_references
+    from assistax.results.figures import check_format, learning_curves
+    from assistax.results.stored import differences, experiments, find_runs
 
     check_format(out)
     found = experiments(find_runs(runs))

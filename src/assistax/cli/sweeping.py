@@ -66,10 +66,10 @@ def sweep(
       side_by_side: trials that an accelerator trains at once (default: as many as there are seeds).
       resume: continue this sweep folder.
     """
-    from assistax.config import parse_assignments
-    from assistax.learning.search import SEARCH
-    from assistax.sweep import Sweep
-    from assistax.train_config import configure
+    from assistax.settings import parse_assignments
+    from assistax.training.configuration import configure
+    from assistax.training.search import SEARCH
+    from assistax.training.sweep import Sweep
 
     if resume is not None:
         given: dict[str, Any] = {"task": task, "algorithm": algorithm, "configs": configs, "seeds": seeds}

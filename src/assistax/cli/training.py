@@ -60,9 +60,9 @@ def train(
         person is, see `assistax humans --help`: env.human.disability, .preference, .people, .visibility.
       resume: continue this run folder; --steps may prolong it.
     """
-    from assistax.config import parse_assignments
-    from assistax.runs import Run
-    from assistax.train_config import configure
+    from assistax.settings import parse_assignments
+    from assistax.training.configuration import configure
+    from assistax.training.run import Run
 
     if resume is not None:
         given: dict[str, Any] = {"task": task, "algorithm": algorithm, "num-envs": num_envs, "seed": seed}

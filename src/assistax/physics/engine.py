@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax.batching import map_where, whole_batch
 from assistax.errors import SimulationError
+from assistax.physics.batching import map_where, whole_batch
 from assistax.pytree import pytree
 
 Overrides = dict[str, jax.Array]

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax.batching import whole_batch
 from assistax.errors import UsageError
+from assistax.physics.batching import whole_batch
 from assistax.physics.engine import OVERFLOW, UNSTABLE, Engine, Overrides, PhysicsState
 
 try:

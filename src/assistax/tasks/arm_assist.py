@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
-from assistax import spatial
 from assistax.pytree import pytree
+from assistax.scenes import geometry
 from assistax.tasks.base import Sensors
 from assistax.tasks.rewards import norm, reach, rotation, waist
 
@@ -46,7 +46,7 @@ class ArmAssist:
     @staticmethod
     def _rotation(s: Sensors):
         """R_hookᵀ R_wrist [3, 3]."""
-        return spatial.matrix(s["tool_quat"]).T @ spatial.matrix(s["wrist_target_quat"])
+        return geometry.matrix(s["tool_quat"]).T @ geometry.matrix(s["wrist_target_quat"])
 
     def observe(self, s: Sensors, state: ArmAssistState):
         vector = s["wrist_target_pos"] - s["tool_pos"]

@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax import spatial
 from assistax.pytree import pytree
+from assistax.scenes import geometry
 from assistax.tasks.base import Sensors
 from assistax.tasks.rewards import norm, reach
 
@@ -51,8 +51,8 @@ class BedBath:
     def _on_skin(self, model, body) -> np.ndarray:
         """Points [26, 3] on the limb's skin: three rows, evenly spaced."""
         low, high = self.config.height
-        limb = spatial.capsule(model, body)
-        up = spatial.upward(model, body, limb)
+        limb = geometry.capsule(model, body)
+        up = geometry.upward(model, body, limb)
         side = np.cross(limb.axis, up)
         points = []
         for turn, count in zip((-1.0, 0.0, 1.0), ROWS, strict=True):
@@ -71,7 +71,7 @@ class BedBath:
     def to_points(self, s: Sensors) -> jax.Array:
         """Vectors [52, 3] from the tool to all points, in world axes."""
         world = [
-            s[f"{segment}_pos"] + spatial.rotate(s[f"{segment}_quat"], points)
+            s[f"{segment}_pos"] + geometry.rotate(s[f"{segment}_quat"], points)
             for segment, points in zip(SEGMENTS, self.points, strict=True)
         ]
         return jnp.concatenate(world) - s["tool_pos"]

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
-from assistax import spatial
 from assistax.pytree import pytree
+from assistax.scenes import geometry
 from assistax.tasks.base import Sensors
 from assistax.tasks.rewards import approach, boltzmann, envelope, norm, orientation
 
@@ -51,7 +51,7 @@ class Feeding:
 
     def observe(self, s: Sensors, state: FeedingState):
         vector = s["mouth_pos"] - s["tool_pos"]
-        rotation = spatial.matrix(s["tool_quat"]).T @ spatial.matrix(s["mouth_quat"])
+        rotation = geometry.matrix(s["tool_quat"]).T @ geometry.matrix(s["mouth_quat"])
         return {
             "mouth_pos": s["mouth_pos"],
             "target_vector": vector,
@@ -61,7 +61,7 @@ class Feeding:
 
     def reward_terms(self, s: Sensors, state: FeedingState):
         c = self.config
-        vector, tool = s["mouth_pos"] - s["tool_pos"], spatial.matrix(s["tool_quat"])
+        vector, tool = s["mouth_pos"] - s["tool_pos"], geometry.matrix(s["tool_quat"])
         return {
             "reach": c.reach_scale * envelope(norm(vector)),
             "orientation": orientation(vector, up=-tool[:, 0], tip=tool[:, 2]),
@@ -71,7 +71,7 @@ class Feeding:
 
     def advance(self, s: Sensors, state: FeedingState) -> FeedingState:
         c = self.config
-        tool, vector = spatial.matrix(s["tool_quat"]), s["mouth_pos"] - s["tool_pos"]
+        tool, vector = geometry.matrix(s["tool_quat"]), s["mouth_pos"] - s["tool_pos"]
         upright, tip = -tool[2, 0], tool[:, 2]  # cosine of the tilt; unit vector
         from_bowl = norm(vector - tip * jnp.clip(vector @ tip, 0.0, c.bowl))
         tipped = (upright < jnp.cos(c.spill_angle)) & (norm(vector) > c.spill_distance)

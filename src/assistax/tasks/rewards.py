@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from assistax.spatial import unit
+from assistax.scenes.geometry import unit
 
 SIGMA = 0.1  # σ of the reach terms, m² in r_t, m in r_t'
 DECAY = 3.0  # 1/m, of r_te and of the alignment's envelope

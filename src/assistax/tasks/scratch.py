@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from assistax import spatial
 from assistax.pytree import pytree
+from assistax.scenes import geometry
 from assistax.tasks.base import Sensors
 from assistax.tasks.rewards import boltzmann, norm, reach
 
@@ -49,13 +49,15 @@ class Scratch:
 
     def __init__(self, config: ScratchConfig, model: mujoco.MjModel, dt: float):
         self.config, self.dt = config, dt
-        capsules = [spatial.capsule(model, f"right_{segment}") for segment in SEGMENTS]
+        capsules = [geometry.capsule(model, f"right_{segment}") for segment in SEGMENTS]
         self._centre = jnp.array([c.centre for c in capsules])
         self._axis = jnp.array([c.axis for c in capsules])
         self._length = jnp.array([c.half_length for c in capsules])
         self._radius = jnp.array([c.radius for c in capsules])
         # Angles are measured around the axis from the side that faces away from the trunk at rest.
-        outward = [spatial.outward(model, f"right_{segment}", c) for segment, c in zip(SEGMENTS, capsules, strict=True)]
+        outward = [
+            geometry.outward(model, f"right_{segment}", c) for segment, c in zip(SEGMENTS, capsules, strict=True)
+        ]
         self._outward = jnp.array(outward)
         self._side = jnp.array(np.cross([c.axis for c in capsules], outward))
 
@@ -75,7 +77,7 @@ class Scratch:
         on_upper = state.segment == 0
         pos = jnp.where(on_upper, s["upper_arm_pos"], s["forearm_pos"])
         quat = jnp.where(on_upper, s["upper_arm_quat"], s["forearm_quat"])
-        return pos + spatial.rotate(quat, state.itch) - s["tool_pos"]
+        return pos + geometry.rotate(quat, state.itch) - s["tool_pos"]
 
     def observe(self, s: Sensors, state: ScratchState):
         vector = self._to_itch(s, state)

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
-from assistax import spatial
 from assistax.pytree import pytree
+from assistax.scenes import geometry
 from assistax.tasks.base import Sensors
 from assistax.tasks.rewards import alignment, boltzmann, envelope, norm
 
@@ -48,7 +48,7 @@ class ToothBrushing:
 
     def observe(self, s: Sensors, state: ToothBrushingState):
         vector = s["mouth_pos"] - s["tool_pos"]
-        rotation = spatial.matrix(s["tool_quat"]).T @ spatial.matrix(s["mouth_quat"])
+        rotation = geometry.matrix(s["tool_quat"]).T @ geometry.matrix(s["mouth_quat"])
         return {
             "mouth_pos": s["mouth_pos"],
             "target_vector": vector,
@@ -60,13 +60,13 @@ class ToothBrushing:
     def _stroke(s: Sensors):
         """(distance to the mouth in m, speed across in m/s, force in N)."""
         vector = s["mouth_pos"] - s["tool_pos"]
-        towards, velocity = spatial.unit(vector), s["tool_vel"]
+        towards, velocity = geometry.unit(vector), s["tool_vel"]
         return norm(vector), norm(velocity - (velocity @ towards) * towards), norm(s["tool_force"])
 
     def reward_terms(self, s: Sensors, state: ToothBrushingState):
         c = self.config
         distance, speed, force = self._stroke(s)
-        tool = spatial.matrix(s["tool_quat"])
+        tool = geometry.matrix(s["tool_quat"])
         align = alignment(s["mouth_pos"] - s["tool_pos"], bristle=-tool[:, 0], handle=-tool[:, 2])
         return {
             "reach": c.reach_scale * envelope(distance),

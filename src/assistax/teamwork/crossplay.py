@@ -14,13 +14,13 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from assistax.clock import progress_bar
 from assistax.env import Env
 from assistax.errors import UsageError
-from assistax.evaluation import EVALUATION_SEED, Player, summarize
-from assistax.figures import STYLE
+from assistax.evaluation.playing import EVALUATION_SEED, Player, summarize
 from assistax.policies import Team
-from assistax.results import flat
+from assistax.results.figures import STYLE
+from assistax.results.stored import flat
+from assistax.training.clock import progress_bar
 
 _OF_THE_MACHINE = ("num_threads", "contacts_per_env", "constraints_per_env")
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from assistax.config import parse_assignments
 from assistax.errors import UsageError
+from assistax.settings import parse_assignments
 
 # What the paper's appendix sweeps. It does not say over which ranges: these hold everything in its tables
 # (learning/presets.py), the rates with half a decade and more to spare.

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+from assistax.learning.seats import Partner
+from assistax.training.run_folder import learned, read_config
 
 from assistax.env import Env
 from assistax.errors import UsageError, choose
-from assistax.learning.seats import Partner
 from assistax.policies import scripted_policy
-from assistax.run_folder import learned, read_config
-from assistax.team_file import load_team, trained_file
-from assistax.train_config import TrainConfig, trained_env
+from assistax.training.configuration import TrainConfig, trained_env
+from assistax.training.team_file import load_team, trained_file
 
 
 def find_partners(config: TrainConfig, env: Env) -> dict[str, Partner]:

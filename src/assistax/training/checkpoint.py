@@ -6,11 +6,11 @@ from typing import Any
 
 import jax
 import numpy as np
+from assistax.files import write_atomically
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from assistax.errors import UsageError
-from assistax.files import write_atomically
 
 FORMAT = "assistax-checkpoint-1"
 

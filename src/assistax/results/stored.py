@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from assistax.errors import UsageError, choose
-from assistax.experts import BOUNDS
+from assistax.policies.experts import BOUNDS
 
 # Settings that say how something was computed or measured, not what was trained.
 _NOT_THE_EXPERIMENT = {"seed", "num_seeds", "engine", "evaluations"}

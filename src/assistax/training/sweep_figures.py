@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from assistax.figures import COLOURS, STYLE
-from assistax.learning.search import Search, choices, intervals
+from assistax.results.figures import COLOURS, STYLE
+from assistax.training.search import Search, choices, intervals
 
 
 def overview(ranking: Sequence[dict], search: Search, title: str) -> Figure:

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Any
 import jax
 import jax.numpy as jnp
 
-from assistax.config import with_settings
 from assistax.env import Env
 from assistax.errors import UsageError
-from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint
 from assistax.policies import Team
+from assistax.settings import with_settings
 from assistax.tasks import TASKS, task_class
-from assistax.train_config import stored_config, to_json, trained_env
+from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint
+from assistax.training.configuration import stored_config, to_json, trained_env
 
 if TYPE_CHECKING:
-    from assistax.runs import Run
+    from assistax.training.run import Run
 
 TRAINED = Path(__file__).parent / "trained"
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from assistax.env import EnvConfig
 from assistax.errors import UsageError, choose
-from assistax.experts import BOUNDS
+from assistax.evaluation.statistics import FEW_SEEDS, Interval, iqm, mean, probability_of_improvement, seed_ci
 from assistax.human.preference import BUDGET
-from assistax.results import Experiment, by_method, check_comparable, differences, flat, read_json, scales_return
-from assistax.statistics import FEW_SEEDS, Interval, iqm, mean, probability_of_improvement, seed_ci
+from assistax.policies.experts import BOUNDS
+from assistax.results.stored import Experiment, by_method, check_comparable, differences, flat, read_json, scales_return
 from assistax.tasks import task_class
 
 REFERENCES = Path("results/experts.json")  # what scripted policies reach, written by `assistax.reference`

@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from assistax import scenes, spatial
+from assistax import scenes
 from assistax.errors import UsageError
+from assistax.scenes import geometry
 from assistax.tasks.rewards import UP, norm, proximity
 from assistax.tasks.scratch import SEGMENTS
 
@@ -66,7 +67,7 @@ class Expert:
         if env.config.control != "torque":
             raise UsageError(f"The expert plays with env.control=torque only, not {env.config.control!r}.")
         self.env = env
-        self.tool = spatial.Chain(env.model, "tool_tip", scenes.ROBOT_JOINTS)
+        self.tool = geometry.Chain(env.model, "tool_tip", scenes.ROBOT_JOINTS)
         self._ids = scenes.qpos_ids(env.model, scenes.ROBOT_JOINTS)
         scene = scenes.SCENES[env.name]
         self._base, self._ready = jnp.array(scene.robot_pos), jnp.array(scene.ready)
@@ -127,16 +128,16 @@ class ScratchExpert(Expert):
     def goal(self, carry, s, task, pos, rot, manner):
         t = self.env.task
         upper = task.segment == 0
-        frame = spatial.matrix(jnp.where(upper, s["upper_arm_quat"], s["forearm_quat"]))
+        frame = geometry.matrix(jnp.where(upper, s["upper_arm_quat"], s["forearm_quat"]))
         origin = jnp.where(upper, s["upper_arm_pos"], s["forearm_pos"])
         axis = frame @ t._axis[task.segment]
         from_centre = task.itch - t._centre[task.segment]
-        normal = frame @ spatial.unit(from_centre - t._axis[task.segment] * (from_centre @ t._axis[task.segment]))
+        normal = frame @ geometry.unit(from_centre - t._axis[task.segment] * (from_centre @ t._axis[task.segment]))
         itch = origin + frame @ task.itch
         along = (pos - itch) @ axis
         off = pos - itch - along * axis
         # Square to the skin the hand would often be out of reach: the stick leans toward the robot.
-        stick = spatial.unit(spatial.unit((itch - self._base) * LEVEL) - normal)
+        stick = geometry.unit(geometry.unit((itch - self._base) * LEVEL) - normal)
         aligned = norm(jnp.cross(rot[:, 2], stick)) < 0.2
         # First to a place well away from the skin, turning, so that nothing brushes the arm on the way.
         far, hover = itch - 0.12 * stick, itch - 0.03 * stick
@@ -167,16 +168,16 @@ class BedBathExpert(Expert):
         progress = carry["progress"]
         points, ups = [], []
         for segment, local in zip(SEGMENTS, self.env.task.points, strict=True):
-            frame, origin = spatial.matrix(s[f"{segment}_quat"]), s[f"{segment}_pos"]
+            frame, origin = geometry.matrix(s[f"{segment}_quat"]), s[f"{segment}_pos"]
             ridge = origin + local[16:8:-1] @ frame.T  # the middle row, toward the hand
-            limb = spatial.unit(ridge[-1] - ridge[0])
+            limb = geometry.unit(ridge[-1] - ridge[0])
             points.append(ridge)
-            ups.append(jnp.broadcast_to(spatial.unit(jnp.asarray(UP - limb * (limb @ UP))), ridge.shape))
+            ups.append(jnp.broadcast_to(geometry.unit(jnp.asarray(UP - limb * (limb @ UP))), ridge.shape))
         points, ups = jnp.concatenate(points), jnp.concatenate(ups)
         place = progress * (len(points) - 1)
         knots = jnp.arange(len(points))
         on_skin, up = (jnp.stack([jnp.interp(place, knots, x[:, i]) for i in range(3)]) for x in (points, ups))
-        up = spatial.unit(up)
+        up = geometry.unit(up)
         off = pos - on_skin
         above = norm(off - up * (off @ up)) < 0.03
         touching = above & (off @ up < 0.05)
@@ -203,8 +204,8 @@ class ArmAssistExpert(Expert):
 
     def goal(self, carry, s, task, pos, rot, manner):
         phase = carry["phase"]
-        wrist, frame = s["wrist_target_pos"], spatial.matrix(s["wrist_target_quat"])
-        outside = spatial.unit(frame[:, 0] * LEVEL)  # the side away from the trunk
+        wrist, frame = s["wrist_target_pos"], geometry.matrix(s["wrist_target_quat"])
+        outside = geometry.unit(frame[:, 0] * LEVEL)  # the side away from the trunk
         grip = wrist - 0.075 * frame[:, 2]  # between wrist target and hand, where no mattress is below
         to_waist = s["waist_target_pos"] - wrist
         lift = jnp.clip(0.5 * norm(to_waist * LEVEL), 0.0, 0.05) * UP
@@ -241,8 +242,8 @@ class FeedingExpert(Expert):
         return {"level": jnp.bool_(False)}
 
     def goal(self, carry, s, task, pos, rot, manner):
-        mouth, face = s["mouth_pos"], spatial.matrix(s["mouth_quat"])
-        forward = spatial.unit(face[:, 0] * LEVEL)
+        mouth, face = s["mouth_pos"], geometry.matrix(s["mouth_quat"])
+        forward = geometry.unit(face[:, 0] * LEVEL)
         right = jnp.cross(forward, UP)
         robot = self._base - mouth
         bearing = jnp.clip(jnp.arctan2(robot @ right, robot @ forward), -self.bearing, self.bearing)
@@ -278,8 +279,8 @@ class ToothBrushingExpert(Expert):
         return {"angle": jnp.float32(0.0), "there": jnp.bool_(False)}
 
     def goal(self, carry, s, task, pos, rot, manner):
-        mouth, face = s["mouth_pos"], spatial.matrix(s["mouth_quat"])
-        ahead = spatial.unit(face[:, 0] * LEVEL)
+        mouth, face = s["mouth_pos"], geometry.matrix(s["mouth_quat"])
+        ahead = geometry.unit(face[:, 0] * LEVEL)
         left = jnp.cross(UP, ahead)
         out = jnp.cos(self.bearing) * ahead + jnp.sin(self.bearing) * left  # keeps the hand off the shoulder
         along = jnp.cross(UP, out)
@@ -325,7 +326,7 @@ class Reflex:
         self.sign = sign
         scene = scenes.SCENES[env.name]
         site = "mouth" if scene.human_driven == scenes.NECK else "wrist_target"
-        self.limb = spatial.Chain(env.model, site, scene.human_driven)
+        self.limb = geometry.Chain(env.model, site, scene.human_driven)
         self.env, self._ids = env, scenes.qpos_ids(env.model, scene.human_driven)
         self._full = scenes.HUMAN_TORQUE * scene.human_strength
 
@@ -335,7 +336,7 @@ class Reflex:
     def act(self, params, carry, state, reset, key):
         pos, _, jacobian = self.limb(state.physics.qpos)
         tool = self.env.sensors(state.physics)["tool_pos"]
-        force = self.sign * self.pull * spatial.unit(tool - pos)
+        force = self.sign * self.pull * geometry.unit(tool - pos)
         torque = jacobian[:3].T @ force - self.damping * state.physics.qvel[self._ids]
         return jnp.clip(torque / self._full, -1.0, 1.0), carry
 
@@ -354,7 +355,7 @@ def _circle(angle, radius, pace, right, up):
 def _turn_to(rot: jax.Array, direction: jax.Array) -> jax.Array:
     """The rotation [3, 3] nearest to rot whose z axis is the unit vector `direction`."""
     x = rot[:, 0] - direction * (rot[:, 0] @ direction)
-    x = spatial.unit(x)
+    x = geometry.unit(x)
     return jnp.stack([x, jnp.cross(direction, x), direction], -1)
 
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from assistax.env import Env
 from assistax.errors import UsageError
+from assistax.evaluation.statistics import bootstrap_ci, proportion_ci
 from assistax.physics import check_faults
 from assistax.policies import Policy, Team
-from assistax.statistics import bootstrap_ci, proportion_ci
 
 EVALUATION_SEED = 20_260_000  # evaluation draws are the same for all runs, and not those of training
 

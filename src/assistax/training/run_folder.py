@@ -8,9 +8,9 @@ from typing import Any
 import jax
 
 from assistax.errors import UsageError
-from assistax.learning.checkpoint import load_checkpoint, read_metadata
-from assistax.learning.seeds import Seeds
-from assistax.train_config import TrainConfig, stored_config
+from assistax.training.checkpoint import load_checkpoint, read_metadata
+from assistax.training.configuration import TrainConfig, stored_config
+from assistax.training.seeds import Seeds
 
 
 def read_config(folder: Path) -> TrainConfig:

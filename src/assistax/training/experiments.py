@@ -14,9 +14,10 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
-from assistax.errors import UsageError
 from assistax.files import write_atomically
-from assistax.learning.presets import TASKS
+
+from assistax.errors import UsageError
+from assistax.training.presets import TASKS
 
 ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
 STEPS = {"default": 10_000_000, "paper": 40_000_000}  # of PPO by preset; ours take half an hour
@@ -67,8 +68,8 @@ class Training:
         return min(1.0, max(saved, default=0) / self.steps)
 
     def advance(self, work: Path, seconds: float) -> list[Path] | None:
-        from assistax.runs import Run
-        from assistax.train_config import configure
+        from assistax.training.configuration import configure
+        from assistax.training.run import Run
 
         if (work / "config.json").exists():
             run = Run.open(work)
@@ -97,7 +98,7 @@ class Timing:
         return 0.0
 
     def advance(self, work: Path, seconds: float) -> Path:
-        from assistax.bench import bench, bench_training
+        from assistax.diagnostics.bench import bench, bench_training
         from assistax.env import make
 
         env = make(self.task)
@@ -127,9 +128,9 @@ class Sweeping:
         return (path.read_bytes().count(b"\n") if path.exists() else 0) / self.configs
 
     def advance(self, work: Path, seconds: float) -> list[Path] | None:
-        from assistax.learning.search import SEARCH
-        from assistax.sweep import Sweep
-        from assistax.train_config import configure
+        from assistax.training.configuration import configure
+        from assistax.training.search import SEARCH
+        from assistax.training.sweep import Sweep
 
         if (work / "sweep.json").exists():
             sweep = Sweep.open(work)

@@ -12,10 +12,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from assistax.comparison import SCALES, bound_of, expert_of, scale, scales
 from assistax.errors import UsageError, choose
-from assistax.results import POINTS, Experiment, Method, best_source, by_method, check_comparable, curve
-from assistax.statistics import FEW_SEEDS, iqm, mean, seed_ci
+from assistax.evaluation.statistics import FEW_SEEDS, iqm, mean, seed_ci
+from assistax.results.comparison import SCALES, bound_of, expert_of, scale, scales
+from assistax.results.stored import POINTS, Experiment, Method, best_source, by_method, check_comparable, curve
 
 FORMATS = (".png", ".svg", ".pdf")
 # Okabe and Ito's, which colour-blind readers can tell apart; without yellow, too light for a line.

@@ -19,24 +19,24 @@ from typing import Any
 
 import jax
 import numpy as np
+from assistax.files import write_atomically
+from assistax.training.partners import find_partners
+from assistax.training.run_folder import check_checkpoint, learned, newest_checkpoint, read_config
 
-from assistax.clock import Clock, Stop, progress_bar
-from assistax.config import with_settings
 from assistax.env import Env
 from assistax.errors import UsageError
-from assistax.evaluation import Player, by_episode, summarize, typical
-from assistax.figures import learning_curve
-from assistax.files import write_atomically
-from assistax.learning.checkpoint import load_checkpoint, save_checkpoint
-from assistax.learning.seeds import Seeds
-from assistax.partners import find_partners
+from assistax.evaluation.film import film
+from assistax.evaluation.playing import Player, by_episode, summarize, typical
 from assistax.physics import check_faults
 from assistax.policies import Drawn, Policy, Team
-from assistax.results import read_rows
-from assistax.run_folder import check_checkpoint, learned, newest_checkpoint, read_config
+from assistax.results.figures import learning_curve
+from assistax.results.stored import read_rows
+from assistax.settings import with_settings
 from assistax.stamp import peak_memory_mb, stamp
-from assistax.train_config import TrainConfig, to_json
-from assistax.viewing import film
+from assistax.training.checkpoint import load_checkpoint, save_checkpoint
+from assistax.training.clock import Clock, Stop, progress_bar
+from assistax.training.configuration import TrainConfig, to_json
+from assistax.training.seeds import Seeds
 
 CHECKPOINT_SECONDS = 60.0
 

@@ -25,24 +25,24 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from assistax.files import write_atomically
 from matplotlib.figure import Figure
 from tqdm import tqdm
 
-from assistax.clock import Clock, Stop, progress_bar
-from assistax.config import with_settings
 from assistax.errors import UsageError
-from assistax.files import write_atomically
-from assistax.learning.checkpoint import load_checkpoint, read_metadata, save_checkpoint
-from assistax.learning.search import Search, draw, intervals
-from assistax.learning.seeds import Lanes
+from assistax.evaluation.statistics import seed_ci
 from assistax.learning.tuned import tunable
 from assistax.physics import check_faults
 from assistax.physics.engine import UNSTABLE
-from assistax.runs import CHECKPOINT_SECONDS, Run
+from assistax.settings import with_settings
 from assistax.stamp import stamp
-from assistax.statistics import seed_ci
-from assistax.sweep_figures import facets, overview
-from assistax.train_config import TrainConfig, stored_config, to_json
+from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint
+from assistax.training.clock import Clock, Stop, progress_bar
+from assistax.training.configuration import TrainConfig, stored_config, to_json
+from assistax.training.run import CHECKPOINT_SECONDS, Run
+from assistax.training.search import Search, draw, intervals
+from assistax.training.seeds import Lanes
+from assistax.training.sweep_figures import facets, overview
 
 Trial = tuple[int, int]
 """The number of a configuration, and a seed."""

@@ -5,17 +5,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from assistax.config import with_settings
+from assistax.learning.seats import Partner
+
 from assistax.env import Env, EnvConfig
 from assistax.errors import UsageError, choose
 from assistax.learning.ppo import PPO, PPOConfig
-from assistax.learning.presets import ALGORITHMS, num_envs, preset
 from assistax.learning.sac import SAC, SACConfig
-from assistax.learning.seats import Partner
 from assistax.physics import resolve_engine
 from assistax.policies import Still
+from assistax.settings import with_settings
 from assistax.stamp import stamp
 from assistax.tasks import task_class
+from assistax.training.presets import ALGORITHMS, num_envs, preset
 
 DEFAULT_STEPS = 5_000_000
 # By algorithm its trainer and the group of its settings in TrainConfig.

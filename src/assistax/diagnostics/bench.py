@@ -141,7 +141,7 @@ class _BareBatch:
 def bench_training(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
     """IPPO with the paper's preset, everything included; rates are medians over iterations."""
     from assistax.learning.ppo import PPO, PPOConfig
-    from assistax.learning.presets import preset
+    from assistax.training.presets import preset
 
     config = PPOConfig(**preset("paper", "ippo", env.name))
     trainer = PPO(env, config, num_envs, 1000)

@@ -37,7 +37,7 @@ def _attempt(check) -> str:
 def _steps() -> str:
     """Two seconds of scratch with a still team."""
     from assistax.env import make
-    from assistax.evaluation import evaluate
+    from assistax.evaluation.playing import evaluate
     from assistax.policies import scripted_team
 
     began = time.perf_counter()
@@ -50,7 +50,7 @@ def _steps() -> str:
 def _renders() -> str:
     import os
 
-    from assistax.viewing import Camera
+    from assistax.evaluation.film import Camera
 
     began = time.perf_counter()
     with Camera("scratch", 160, 120) as camera:
