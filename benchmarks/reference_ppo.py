@@ -28,13 +28,13 @@ from assistax.env import Env, make
 from assistax.errors import AssistaxError, SimulationError, UsageError
 from assistax.evaluation.playing import EVALUATION_SEED, play, summarize
 from assistax.evaluation.statistics import seed_ci
-from assistax.learning import presets
+from assistax.files import write_atomically
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.physics import check_faults
 from assistax.policies import Player, Still
 from assistax.reference import markdown
 from assistax.stamp import stamp
-from assistax.training.checkpoint import write_atomically
+from assistax.training import presets
 
 try:
     from brax.envs.base import State
@@ -229,7 +229,7 @@ def evaluated(env: Env, trained: Trained) -> dict[str, Any]:
     found = {}
     for name, deterministic in (("deterministic", True), ("sampled", False)):
         human = Still(env.action_sizes["human"])
-        team = {"robot": (trained.policy(deterministic), trained.params), "human": (human, ())}
+        team = {"robot": Player.of(trained.policy(deterministic), trained.params), "human": Player(human)}
         summary = summarize(play(env, team, EPISODES))
         found[name] = {key: summary[key] for key in ("mean_return", "return_ci", "success_rate", "success_ci", "terms")}
     return found

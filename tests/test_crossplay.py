@@ -7,7 +7,7 @@ import assistax
 from assistax.errors import UsageError
 from assistax.evaluation.playing import evaluate
 from assistax.learning.actors import Actor
-from assistax.policies import scripted_policy, scripted_team
+from assistax.policies import Player, scripted_policy, scripted_team
 from assistax.teamwork.crossplay import Entrant, cross_play, picture, table
 
 EPISODES = 3
@@ -25,7 +25,7 @@ def test_rows_are_robots_and_columns_persons_with_their_bodies(scratch):
     for i, robot in enumerate(("random", "expert")):
         for j, (human, env) in enumerate((("random", scratch), ("withdraw", trembling))):
             names = {"robot": robot, "human": human}
-            pair = {agent: (scripted_policy(name, env, agent), ()) for agent, name in names.items()}
+            pair = {agent: Player(scripted_policy(name, env, agent)) for agent, name in names.items()}
             wanted = evaluate(env, pair, EPISODES)
             np.testing.assert_allclose(report["return"][i][j], wanted["mean_return"], rtol=1e-5)
             np.testing.assert_allclose(report["force_in_contact"][i][j], wanted["force"]["mean_in_contact"], rtol=1e-4)
@@ -56,7 +56,7 @@ def test_what_cannot_meet_is_one_line(scratch):
 
 def scratch_team(env):
     params = {"actor": np.zeros(3), "normalizer": np.zeros(3)}
-    return {agent: (Actor(), params) for agent in env.agents}
+    return {agent: Player.of(Actor(), params) for agent in env.agents}
 
 
 def test_the_picture_has_a_cell_per_pair():

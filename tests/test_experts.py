@@ -12,7 +12,7 @@ import assistax
 from assistax import scenes
 from assistax.errors import UsageError
 from assistax.evaluation.playing import play
-from assistax.policies import SCRIPTED, scripted_team
+from assistax.policies import SCRIPTED, Player, scripted_team
 from assistax.policies.experts import BOUNDS, EXPERTS, Reflex, expert
 from assistax.scenes import geometry
 
@@ -71,7 +71,7 @@ class LooksAside(Reflex):
 def test_the_feeding_expert_comes_to_where_the_face_is(envs):
     """To the right is toward the robot and beyond."""
     env = envs["feeding"]
-    team = scripted_team("expert", env) | {"human": (LooksAside(env, -1.0), ())}
+    team = scripted_team("expert", env) | {"human": Player(LooksAside(env, -1.0))}
     metrics = play(env, team, episodes=2)["metrics"]
     assert (metrics["success"] == 1).all() and (metrics["peak_force"] < 20).all()
 

@@ -12,17 +12,8 @@ import pytest
 from assistax.cli import results as cli
 from assistax.errors import UsageError
 from assistax.evaluation.statistics import student_t
-from assistax.results.stored import (
-    StoredRun,
-    best_source,
-    comparison,
-    curve,
-    differences,
-    experiments,
-    figures,
-    find_runs,
-    read_rows,
-)
+from assistax.results import comparison, figures
+from assistax.results.stored import StoredRun, best_source, curve, differences, experiments, find_runs, read_rows
 
 STAMP = {"versions": {"assistax": "0.1.0", "mujoco": "3.17.0", "jax": "0.10.2"}, "commit": "abc", "hardware": "2 cores"}
 CONFIG = {

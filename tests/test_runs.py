@@ -16,7 +16,8 @@ from safetensors.numpy import load_file
 
 from assistax.errors import UsageError
 from assistax.training.configuration import configure
-from assistax.training.run import Run, find_partner
+from assistax.training.partners import find_partner
+from assistax.training.run import Run
 from assistax.training.team_file import load_team, save_team
 
 SMALL = {"ppo.num_steps": 8, "ppo.num_minibatches": 2, "ppo.update_epochs": 1, "ppo.hidden": (8, 8)}
@@ -124,11 +125,11 @@ def test_a_team_file_plays_as_its_run(evaluated, tmp_path):
     env, team = load_team(tmp_path / "team.safetensors", {"env.episode_length": 4})
     assert env.config.episode_length == 4
     obs = {agent: jax.random.normal(jax.random.key(1), (env.observation_sizes[agent],)) for agent in env.agents}
-    for agent, (policy, params) in run.teams()[1].items():
+    for agent, player in run.teams()[1].items():
         yes = np.bool_(True)
         actions = [
-            policy.act(p, policy.initial_carry(), obs[agent], yes, jax.random.key(0))[0]
-            for policy, p in ((policy, params), team[agent])
+            one.policy.act(one.member(0), one.policy.initial_carry(), obs[agent], yes, jax.random.key(0))[0]
+            for one in (player, team[agent])
         ]
         np.testing.assert_allclose(*actions, rtol=0.02, atol=1e-5)  # weights in half precision
         assert np.abs(actions[0]).max() > 1e-3

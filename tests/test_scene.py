@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from assistax import scenes
-from assistax.scenes import READY_POSE, ROBOT_JOINTS, SCENES
+from assistax.scenes import ROBOT_JOINTS, SCENES
+from assistax.scenes.build import READY_POSE
 
 HUMAN_MASSES = {
     "pelvis": 6.6162, "waist": 2.2619, "torso": 5.8538, "head": 3.0536,

@@ -17,6 +17,7 @@ import numpy as np
 from assistax.env import make
 from assistax.errors import choose
 from assistax.evaluation.playing import evaluate, play, summarize
+from assistax.files import write_atomically
 from assistax.human import DISABILITIES
 from assistax.policies import scripted_team
 from assistax.policies.experts import BOUNDS
@@ -25,7 +26,6 @@ from assistax.results.figures import learning_curves
 from assistax.results.stored import experiments, find_runs
 from assistax.stamp import commit
 from assistax.teamwork import crossplay
-from assistax.training.checkpoint import write_atomically
 
 EPISODES = 64
 EXPERTS_PAGE = """# Scripted policies

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import jax
 
-from assistax.policies import Player, Policy
+from assistax.policies import Policy
 
 TrainerState = Any
 """A pytree of arrays that holds everything a run needs to go on exactly, random keys included.
@@ -51,9 +51,3 @@ class Trainer(Protocol):
     def policy_params(self, state: TrainerState) -> dict[str, Any]:
         """By learner, the parameters for `policy`."""
         ...
-
-
-def players(trainer: Trainer, state: TrainerState, deterministic: bool = True) -> dict[str, Player]:
-    """By learner, the player that a state has come to."""
-    policy = trainer.policy(deterministic)
-    return {agent: Player.of(policy, params) for agent, params in trainer.policy_params(state).items()}

@@ -1,7 +1,6 @@
 """Pytrees in safetensors files: written whole or not at all, refused when they do not fit."""
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +10,9 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
 from assistax.errors import UsageError
+from assistax.files import write_atomically
 
 FORMAT = "assistax-checkpoint-1"
-
-
-def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file so that a reader, or a crash, sees the old content or the new, never a part."""
-    part = path.with_name(path.name + ".part")
-    with open(part, "wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(part, path)
 
 
 def save_checkpoint(path: Path, tree: Any, metadata: dict[str, Any]) -> None:

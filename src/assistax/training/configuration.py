@@ -5,11 +5,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from assistax.env import EnvConfig
+from assistax.env import Env, EnvConfig
 from assistax.errors import UsageError, choose
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.learning.sac import SAC, SACConfig
 from assistax.physics import resolve_engine
+from assistax.policies import Player, Still
 from assistax.settings import with_settings
 from assistax.stamp import stamp
 from assistax.tasks import task_class
@@ -35,7 +36,7 @@ class TrainConfig:
     num_envs: int = 256  # per seed
     seed: int = 0
     num_seeds: int = 1
-    partners: tuple[str, ...] = ()  # "human=still": seats that do not learn, and who plays them, see find_partner
+    partners: tuple[str, ...] = ()  # "human=still": seats that do not learn, and who plays them, see partners.py
     evaluations: int = 10  # evenly over the training; the last is at its end and always made
     evaluation_episodes: int = 64
     deterministic: bool = True  # evaluate the mean action, not a sample
@@ -48,6 +49,19 @@ class TrainConfig:
     def group(self) -> str:
         """The name of the settings that the algorithm has."""
         return TRAINERS[self.algorithm][1]
+
+    @property
+    def seeds(self) -> range:
+        return range(self.seed, self.seed + self.num_seeds)
+
+    @property
+    def iterations(self) -> int:
+        """Of each seed, together `steps` or a little more."""
+        return -(-self.steps // (self.num_envs * getattr(self, self.group).num_steps))
+
+    def trainer(self, env, partners: Mapping[str, Player]) -> Any:
+        """The trainer of those agents of `env` that have no frozen partner."""
+        return TRAINERS[self.algorithm][0](env, getattr(self, self.group), self.num_envs, self.iterations, partners)
 
     def __post_init__(self):
         choose("algorithm", self.algorithm, TRAINERS)
@@ -87,6 +101,13 @@ def stored_config(stored: Mapping[str, Any]) -> TrainConfig:
     """The TrainConfig of what `to_json` made; fields that it lacks have their defaults."""
     blank = TrainConfig(stored["task"], task_config=task_class(stored["task"]).config_type())
     return with_settings(blank, {k: v for k, v in stored.items() if k not in ("task", "stamp")})
+
+
+def trained_env(config: TrainConfig) -> tuple[Env, Any]:
+    """The environment that something was trained in, and a trainer that knows its policies."""
+    env = Env(config.task, config.engine, config.env, config.task_config)
+    others = [text.split("=")[0] for text in config.partners]  # who they were makes no difference to the learners
+    return env, config.trainer(env, {agent: Player(Still(env.action_sizes[agent])) for agent in others})
 
 
 def to_json(config: TrainConfig) -> dict[str, Any]:

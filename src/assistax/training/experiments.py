@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from assistax.errors import UsageError
-from assistax.training.checkpoint import write_atomically
+from assistax.files import write_atomically
 from assistax.training.presets import TASKS
 
 ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")

@@ -21,19 +21,21 @@ import jax
 import numpy as np
 
 from assistax.env import Env
-from assistax.errors import UsageError, choose
+from assistax.errors import UsageError
 from assistax.evaluation.film import film
-from assistax.evaluation.playing import Player, by_episode, summarize, typical
-from assistax.learning.seats import Partner
+from assistax.evaluation.playing import Evaluator, by_episode, summarize, typical
+from assistax.files import write_atomically
 from assistax.physics import check_faults
-from assistax.policies import Drawn, Policy, Team, scripted_policy
+from assistax.policies import Player, Team
 from assistax.results.figures import learning_curve
 from assistax.results.stored import read_rows
 from assistax.settings import with_settings
 from assistax.stamp import peak_memory_mb, stamp
-from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
+from assistax.training.checkpoint import load_checkpoint, save_checkpoint
 from assistax.training.clock import Clock, Stop, progress_bar
-from assistax.training.configuration import TRAINERS, TrainConfig, stored_config, to_json
+from assistax.training.configuration import TrainConfig, to_json
+from assistax.training.partners import find_partners
+from assistax.training.run_folder import check_checkpoint, learned, newest_checkpoint, read_config
 from assistax.training.seeds import Seeds
 
 CHECKPOINT_SECONDS = 60.0
@@ -45,20 +47,13 @@ class Run:
     def __init__(self, folder: Path, config: TrainConfig):
         self.folder, self.config = folder, config
         self.env = Env(config.task, config.engine, config.env, config.task_config)
-        trainer, settings = TRAINERS[config.algorithm][0], getattr(config, config.group)
-        self.iterations = -(-config.steps // (config.num_envs * settings.num_steps))
-        self.partners = {}
-        for text in config.partners:
-            agent, equals, name = text.partition("=")
-            if not equals:
-                raise UsageError(f"A partner is AGENT=WHO, for example human=still, not {text!r}.")
-            choose("agent", agent, self.env.agents)
-            self.partners[agent] = find_partner(name, self.env, agent)
-        self.trainer = trainer(self.env, settings, config.num_envs, self.iterations, self.partners)
+        self.iterations = config.iterations
+        self.partners = find_partners(config, self.env)
+        self.trainer = config.trainer(self.env, self.partners)
         self.steps_per_iteration = self.trainer.steps_per_iteration
         points = range(1, config.evaluations)
         self.evaluate_at = {i * self.iterations // config.evaluations for i in points} - {0}  # iterations done
-        self.seeds = Seeds(range(config.seed, config.seed + config.num_seeds))
+        self.seeds = Seeds(config.seeds)
 
     @classmethod
     def create(cls, config: TrainConfig, folder: Path) -> "Run":
@@ -85,13 +80,7 @@ class Run:
     @classmethod
     def open(cls, folder: Path, settings: Mapping[str, Any] | None = None, **changes) -> "Run":
         """Read a run folder; `changes` replace fields of its configuration, `settings` any by name ("ppo.gamma")."""
-        path = folder / "config.json"
-        if not path.exists():
-            raise UsageError(f"{folder} is not a run folder: it has no config.json.")
-        try:
-            config = stored_config(json.loads(path.read_text()))
-        except (json.JSONDecodeError, KeyError, TypeError):
-            raise UsageError(f"{path} is damaged; restore it or start a new run.") from None
+        config = read_config(folder)
         changes = {name: value for name, value in changes.items() if value is not None}
         return cls(folder, with_settings(dataclasses.replace(config, **changes), settings or {}))
 
@@ -157,20 +146,12 @@ class Run:
         path = self.newest_checkpoint()
         if path is None:
             return self.seeds.init(self.trainer.init), 0, {}
-        about = self._check(path)
+        about = check_checkpoint(path, self.config)
         state = self.seeds.split(load_checkpoint(path, self.seeds.like(self.trainer.init)))
         return state, about["steps"] // self.steps_per_iteration, about["seconds"]
 
-    def _check(self, path: Path) -> dict[str, Any]:
-        """The metadata of a checkpoint, which must be of this task and algorithm."""
-        about = read_metadata(path)
-        for name in ("task", "algorithm"):
-            if about.get(name) != getattr(self.config, name):
-                raise UsageError(f"{path} is of the {name} {about.get(name)}, not {getattr(self.config, name)}.")
-        return about
-
     def newest_checkpoint(self) -> Path | None:
-        return max((self.folder / "checkpoints").glob("step_*.safetensors"), default=None)
+        return newest_checkpoint(self.folder)
 
     def _save(self, state: Any, done: int, clock: Clock) -> None:
         steps = done * self.steps_per_iteration
@@ -234,11 +215,11 @@ class Run:
         return summary
 
     def _evaluate(self, done: int, teams: Iterable[Team]) -> list[dict[str, Any]]:
-        """Play the evaluation with each seed's team and write down the episodes; returns what a Player does."""
+        """Play the evaluation with each seed's team and write down the episodes; returns what an Evaluator does."""
         results = []
         with open(self.folder / "evaluations.jsonl", "a") as log:
             for seed, team in zip(self.seeds.seeds, teams, strict=True):
-                result = self._player({agent: params for agent, (_, params) in team.items()})
+                result = self._evaluator(team)
                 found = by_episode(result)
                 about = {"steps": done * self.steps_per_iteration, "seed": seed}
                 about |= {"deterministic": self.config.deterministic}
@@ -247,8 +228,8 @@ class Run:
         return results
 
     @cached_property
-    def _player(self) -> Player:
-        return Player(self.env, self.policies(), self.config.evaluation_episodes)
+    def _evaluator(self) -> Evaluator:
+        return Evaluator(self.env, self.config.evaluation_episodes)
 
     def film(self, result: dict[str, Any], episode: int, path: Path, **camera) -> None:
         """Film one episode of what `evaluation.play` returned."""
@@ -262,52 +243,16 @@ class Run:
             **camera,
         )
 
-    def policies(self, deterministic: bool | None = None) -> dict[str, Policy]:
-        """By agent, who plays it; learners deterministically or not, unless told as in the configuration."""
-        learned = self.trainer.policy(self.config.deterministic if deterministic is None else deterministic)
-        seats: dict[str, Policy] = dict.fromkeys(self.env.agents, learned)
-        for agent, partner in self.partners.items():
-            seats[agent] = Drawn(partner.policy, partner.members)
-        return seats
-
     def team(self, state: Any, deterministic: bool | None = None) -> Team:
-        """The policies of one seed; of its TrainState only params and normalizer are read."""
-        params = self.trainer.policy_params(state) | {a: partner.params for a, partner in self.partners.items()}
-        return {agent: (policy, params[agent]) for agent, policy in self.policies(deterministic).items()}
+        """The players of one seed; of its state only params and normalizer are read."""
+        return self._team(self.trainer.policy_params(state), deterministic)
+
+    def _team(self, learned: dict[str, Any], deterministic: bool | None) -> Team:
+        """Learners deterministically or not, unless told as in the configuration, beside the frozen partners."""
+        policy = self.trainer.policy(self.config.deterministic if deterministic is None else deterministic)
+        return {agent: Player.of(policy, params) for agent, params in learned.items()} | self.partners
 
     def teams(self, deterministic: bool | None = None) -> list[Team]:
         """The policies of each seed, from the newest checkpoint."""
-        path = self.newest_checkpoint()
-        if path is None:
-            raise UsageError(f"{self.folder} has no checkpoint yet.")
-        self._check(path)
-        like = self.seeds.like(self.trainer.init)
-        parts = {name: load_checkpoint(path, getattr(like, name), f".{name}") for name in ("params", "normalizer")}
-        states = [jax.tree.map(lambda x, i=i: x[i], parts) for i in range(self.config.num_seeds)]
-        return [self.team(dataclasses.replace(like, **state), deterministic) for state in states]
-
-
-def find_partner(name: str, env: Env, agent: str) -> Partner:
-    """Who plays a seat that does not learn.
-
-    Args:
-      name: a scripted policy (see `policies.scripted_policy`), or a run folder of the same task: its policies
-        for that seat, as they acted in training; every episode draws one of its seeds.
-      env: where.
-      agent: the seat.
-    """
-    if name == "trained" or name.endswith(".safetensors"):
-        from assistax.training.team_file import load_team, trained_file
-
-        policy, params = load_team(trained_file(env.name) if name == "trained" else Path(name))[1][agent]
-        return Partner(policy, jax.tree.map(lambda x: x[None], params))
-    if not Path(name).is_dir():
-        try:
-            return Partner(scripted_policy(name, env, agent))
-        except UsageError as error:
-            raise UsageError(f"{error} Or name a run folder.") from None
-    run = Run.open(Path(name))
-    if run.env.name != env.name or run.env.observation_sizes[agent] != env.observation_sizes[agent]:
-        raise UsageError(f"{name} cannot play the {agent} here: its task or what it observes is another.")
-    policies, params = zip(*(team[agent] for team in run.teams(deterministic=False)), strict=True)
-    return Partner(policies[0], jax.tree.map(lambda *xs: jax.numpy.stack(xs), *params), len(params))
+        params = learned(self.folder, self.config, self.trainer)
+        return [self._team(mine, deterministic) for mine in params]

@@ -30,12 +30,13 @@ from tqdm import tqdm
 
 from assistax.errors import UsageError
 from assistax.evaluation.statistics import seed_ci
+from assistax.files import write_atomically
 from assistax.learning.tuned import tunable
 from assistax.physics import check_faults
 from assistax.physics.engine import UNSTABLE
 from assistax.settings import with_settings
 from assistax.stamp import stamp
-from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint, write_atomically
+from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint
 from assistax.training.clock import Clock, Stop, progress_bar
 from assistax.training.configuration import TrainConfig, stored_config, to_json
 from assistax.training.run import CHECKPOINT_SECONDS, Run

@@ -6,19 +6,21 @@ The best team of every task is part of the package: `assistax play TASK`.
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 
 from assistax.env import Env
 from assistax.errors import UsageError
-from assistax.policies import Team
+from assistax.policies import Player, Team
 from assistax.settings import with_settings
 from assistax.tasks import TASKS, task_class
 from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint
-from assistax.training.configuration import stored_config, to_json
-from assistax.training.run import Run
+from assistax.training.configuration import stored_config, to_json, trained_env
+
+if TYPE_CHECKING:
+    from assistax.training.run import Run
 
 TRAINED = Path(__file__).parents[1] / "trained"
 
@@ -33,7 +35,7 @@ def trained_file(task: str) -> Path:
     return path
 
 
-def save_team(run: Run, path: Path, index: int = 0) -> None:
+def save_team(run: "Run", path: Path, index: int = 0) -> None:
     """Write the team of the run's seed number `index`.
 
     Weights in half precision: tens of KB, and no more rounding than a small change of the observation.
@@ -43,7 +45,7 @@ def save_team(run: Run, path: Path, index: int = 0) -> None:
     if run.partners:
         absent = ", ".join(run.partners)
         raise UsageError(f"Only whole teams can be exported; in {run.folder} the {absent} did not learn.")
-    params = {agent: dict(parameters) for agent, (_, parameters) in run.teams()[index].items()}
+    params = {agent: dict(player.member(0)) for agent, player in run.teams()[index].items()}
     for parameters in params.values():  # the normaliser's numbers may be beyond half precision
         parameters["actor"] = jax.tree.map(lambda x: x.astype(jnp.float16), parameters["actor"])
     config = dataclasses.replace(run.config, seed=run.seeds.seeds[index], num_seeds=1)
@@ -58,8 +60,8 @@ def load_team(path: Path, settings: Mapping[str, Any] | None = None, engine: str
     config = stored_config(about["team"])
     if engine is not None:
         config = dataclasses.replace(config, engine=engine)
-    run = Run(path.parent, with_settings(config, settings or {}))
-    trainer: Any = run.trainer
+    config = with_settings(config, settings or {})
+    env, trainer = trained_env(config)
     like = jax.eval_shape(lambda key: trainer.policy_params(trainer.init(key)), jax.random.key(0))
-    params = load_checkpoint(path, like)
-    return run.env, {agent: (policy, params[agent]) for agent, policy in run.policies().items()}
+    params, policy = load_checkpoint(path, like), trainer.policy(config.deterministic)
+    return env, {agent: Player.of(policy, params[agent]) for agent in env.agents}

@@ -140,7 +140,7 @@ class SAC:
 
     # -- acting --------------------------------------------------------------------------------
 
-    def policy(self, deterministic: bool) -> SquashedActor:
+    def policy(self, deterministic: bool = True) -> SquashedActor:
         """Acts as a learner, with its `policy_params`."""
         c = self.config
         longest = max(self.env.action_sizes[agent] for agent in self.learners)

@@ -1,0 +1,49 @@
+"""What was trained, read from a run folder: its configuration, and the policies in its newest checkpoint."""
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
+
+from assistax.errors import UsageError
+from assistax.training.checkpoint import load_checkpoint, read_metadata
+from assistax.training.configuration import TrainConfig, stored_config
+from assistax.training.seeds import Seeds
+
+
+def read_config(folder: Path) -> TrainConfig:
+    """The configuration of a run; raises UsageError if the folder is none."""
+    path = folder / "config.json"
+    if not path.exists():
+        raise UsageError(f"{folder} is not a run folder: it has no config.json.")
+    try:
+        return stored_config(json.loads(path.read_text()))
+    except (json.JSONDecodeError, KeyError, TypeError):
+        raise UsageError(f"{path} is damaged; restore it or start a new run.") from None
+
+
+def newest_checkpoint(folder: Path) -> Path | None:
+    return max((folder / "checkpoints").glob("step_*.safetensors"), default=None)
+
+
+def check_checkpoint(path: Path, config: TrainConfig) -> dict[str, Any]:
+    """The metadata of a checkpoint, which must be of this task and algorithm."""
+    about = read_metadata(path)
+    for name in ("task", "algorithm"):
+        if about.get(name) != getattr(config, name):
+            raise UsageError(f"{path} is of the {name} {about.get(name)}, not {getattr(config, name)}.")
+    return about
+
+
+def learned(folder: Path, config: TrainConfig, trainer: Any) -> list[dict[str, Any]]:
+    """By seed and learner the parameters for `trainer.policy()`, from the newest checkpoint."""
+    path = newest_checkpoint(folder)
+    if path is None:
+        raise UsageError(f"{folder} has no checkpoint yet.")
+    check_checkpoint(path, config)
+    like = Seeds(config.seeds).like(trainer.init)
+    parts = {name: load_checkpoint(path, getattr(like, name), f".{name}") for name in ("params", "normalizer")}
+    states = [jax.tree.map(lambda x, i=i: x[i], parts) for i in range(config.num_seeds)]
+    return [trainer.policy_params(dataclasses.replace(like, **state)) for state in states]
