@@ -32,7 +32,7 @@ from assistax.files import write_atomically
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.physics import check_faults
 from assistax.policies import Player, Still
-from assistax.reference import markdown
+from assistax.results.comparison import markdown
 from assistax.stamp import stamp
 from assistax.training import presets
 

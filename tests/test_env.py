@@ -12,6 +12,7 @@ from kinematics import joints_after, solve, touching_pose
 
 import assistax
 from assistax import scenes
+from assistax.spaces import Box
 
 STEP = 4  # physics steps per control step
 
@@ -71,7 +72,7 @@ def rollout_states(env, steps, start_touching, seed=0):
         if start_touching:
             actions = jax.tree.map(lambda a: 0.2 * a, actions)
         before = state.physics
-        state, obs, rewards, _, _, info = step(state, actions)
+        obs, state, rewards, _, _, info = step(key, state, actions)
         yield before, actions, state, obs, rewards, info
 
 
@@ -168,8 +169,9 @@ def test_auto_reset_is_fresh_and_keeps_the_true_last_observation(scratch):
     for i in range(3 * scratch.episode_length):
         key = jax.random.fold_in(jax.random.key(1), i)
         actions = random_actions(scratch, key, (n,))
-        true_end, true_obs, *_ = step_env(state, actions)
-        obs, state, _, terminated, truncated, info = step(jax.random.split(key, n), state, actions)
+        keys = jax.random.split(key, n)
+        true_obs, true_end, *_ = step_env(keys, state, actions)
+        obs, state, _, terminated, truncated, info = step(keys, state, actions)
         assert not terminated["__all__"].any()
         last = (i + 1) % scratch.episode_length == 0
         assert (np.asarray(truncated["__all__"]) == last).all()
@@ -268,7 +270,10 @@ def test_a_still_person_stays_at_rest(scratch):
     _, state = env.reset(jax.random.key(0))
     still = {agent: jnp.zeros(n) for agent, n in env.action_sizes.items()}
     start = env.sensors(state.physics)
-    state, _ = jax.jit(lambda s: jax.lax.scan(lambda s, _: (env.step_env(s, still)[0], None), s, None, 1000))(state)
+    key = jax.random.key(0)
+    state, _ = jax.jit(lambda s: jax.lax.scan(lambda s, _: (env.step_env(key, s, still)[1], None), s, None, 1000))(
+        state
+    )
     end = env.sensors(state.physics)
     for name in ("forearm_pos", "upper_arm_pos", "mouth_pos"):
         assert np.linalg.norm(end[name] - start[name]) < 0.01
@@ -288,3 +293,31 @@ def test_bad_settings_are_refused_in_one_line(call, words):
     with pytest.raises(assistax.UsageError, match=words) as error:
         call()
     assert "\n" not in str(error.value)
+
+
+def test_the_same_key_at_every_step_still_gives_fresh_episodes(scratch):
+    """What a loop that never splits its key gets; and different keys give different episodes from the same state."""
+    step = jax.jit(scratch.step)
+    key = jax.random.key(0)
+    _, state = scratch.reset(key)
+    still = {agent: jnp.zeros(n) for agent, n in scratch.action_sizes.items()}
+    itches = [np.asarray(state.task.itch)]
+    for _ in range(3):
+        for _ in range(scratch.episode_length):
+            before = state
+            _, state, *_ = step(key, state, still)
+        itches.append(np.asarray(state.task.itch))
+    assert len(np.unique(np.round(itches, 6), axis=0)) == 4
+    _, other, *_ = step(jax.random.key(1), before, still)
+    assert (np.asarray(other.task.itch) != np.asarray(state.task.itch)).any()
+
+
+def test_spaces_sample_what_they_contain():
+    low, high = np.array([-1.0, 0.0, -np.inf, -np.inf]), np.array([1.0, np.inf, 3.0, np.inf])
+    box = Box((4,), low, high)
+    samples = np.asarray(jax.vmap(box.sample)(jax.random.split(jax.random.key(0), 4000)))
+    assert np.isfinite(samples).all() and all(box.contains(x) for x in samples[:50])
+    np.testing.assert_allclose(samples[:, 0].std(), 1 / np.sqrt(3), atol=0.03)  # uniform
+    np.testing.assert_allclose(samples.mean(0)[1:], [1.0, 2.0, 0.0], atol=0.1)  # exponential, exponential, normal
+    assert not box.contains(np.full(4, np.nan)) and not box.contains(np.zeros(3)) and not box.contains(low - 1)
+    assert box == Box((4,), low, high) != Box((4,))

@@ -98,7 +98,7 @@ def test_offering_brings_the_person_nearer_than_withdrawing(envs, name):
 
         def step(state, _):
             action, _ = human.act((), (), state, jnp.bool_(False), None)
-            return env.step_env(state, {"robot": jnp.zeros(7), "human": action})[0], None
+            return env.step_env(jax.random.key(0), state, {"robot": jnp.zeros(7), "human": action})[1], None
 
         state, _ = jax.jit(lambda s: jax.lax.scan(step, s, None, 250))(state)
         pos, _, _ = human.limb(state.physics.qpos)

@@ -11,8 +11,8 @@ import assistax
 ROOT = Path(assistax.__file__).parent
 # From the ground up: a folder, or a file of the package itself. Nobody imports from further right than it stands.
 FLOORS = (
-    ("errors", "pytree", "files", "stamp"),
-    ("settings",),
+    ("errors",),
+    ("pytree", "files", "stamp", "registry", "settings", "spaces"),
     ("scenes",),
     ("physics",),
     ("human",),

@@ -197,7 +197,7 @@ def moves(request):
         actions = {"robot": jnp.zeros(7), "human": jnp.full(env.action_sizes["human"], action)}
 
         def step(state, _):
-            state = env.step_env(state, actions)[0]
+            state = env.step_env(jax.random.key(0), state, actions)[1]
             return state, env.sensors(state.physics)
 
         sensors = jax.lax.scan(step, state, None, 250)[1]
@@ -293,7 +293,8 @@ def test_task_and_preference_returns_are_reported_apart():
     _, state = env.reset(jax.random.key(0))
     step, totals = jax.jit(env.step_env), {}
     for i in range(5):
-        state, _, rewards, _, _, info = step(state, random_actions(env, jax.random.key(i)))
+        key = jax.random.key(i)
+        _, state, rewards, _, _, info = step(key, state, random_actions(env, key))
         for name, term in info["reward_terms"].items():
             totals[name] = totals.get(name, 0.0) + float(term)
         np.testing.assert_allclose(rewards["robot"], sum(info["reward_terms"].values()), rtol=1e-5)

@@ -527,7 +527,6 @@ def test_sizes_that_do_not_divide_are_refused():
 def test_paper_presets_are_the_papers_tables():
     """Rows picked from both tables, against the paper's own numbers."""
     assert preset("paper", "ippo", "scratch") == {
-        "central_critic": False,
         "learning_rate": 3.34e-4,
         "update_epochs": 8,
         "num_minibatches": 16,
@@ -536,10 +535,10 @@ def test_paper_presets_are_the_papers_tables():
         "num_steps": 64,
     }
     row = preset("paper", "mappo", "tooth_brushing", recurrent=True)
-    assert (row["learning_rate"], row["num_steps"], row["central_critic"]) == (2.56e-3, 128, True)
+    assert (row["learning_rate"], row["num_steps"]) == (2.56e-3, 128)
     row = preset("paper", "masac", "feeding")
     assert (row["updates"], row["num_steps"], row["batch_size"], row["tau"]) == (128, 8, 128, 2.73e-4)
-    with pytest.raises(UsageError, match="no recurrent"):
+    with pytest.raises(UsageError, match="no settings for isac with a GRU"):
         preset("paper", "isac", "scratch", recurrent=True)
 
 

@@ -121,7 +121,7 @@ def test_evaluations_are_even_and_whole_and_the_last_is_the_summary(evaluated):
 
 def test_a_team_file_plays_as_its_run(evaluated, tmp_path):
     run, _ = evaluated
-    save_team(run, tmp_path / "team.safetensors", index=1)
+    save_team(tmp_path / "team.safetensors", run.teams()[1], run.config)
     env, team = load_team(tmp_path / "team.safetensors", {"env.episode_length": 4})
     assert env.config.episode_length == 4
     obs = {agent: jax.random.normal(jax.random.key(1), (env.observation_sizes[agent],)) for agent in env.agents}
@@ -144,11 +144,11 @@ def test_a_partner_comes_from_a_run(evaluated, tmp_path):
     new = Run.create(small(partners=(f"human={run.folder}",), steps=64), tmp_path / "new")
     assert new.train() and new.trainer.learners == ("robot",)
     team = new.teams()[0]
-    assert team["robot"][0].deterministic and team["human"][0].members == 2
-    for mine, theirs in zip(jax.tree.leaves(team["human"][1]), jax.tree.leaves(partner.params), strict=True):
+    assert team["robot"].policy.deterministic and team["human"].members == 2
+    for mine, theirs in zip(jax.tree.leaves(team["human"].params), jax.tree.leaves(partner.params), strict=True):
         np.testing.assert_array_equal(mine, theirs)
     with pytest.raises(UsageError, match="the human did not learn"):
-        save_team(new, tmp_path / "team.safetensors")
+        save_team(tmp_path / "team.safetensors", new.teams()[0], new.config)
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,9 @@ from scipy import stats as scipy_stats
 
 import assistax.training.sweep
 from assistax.errors import UsageError
+from assistax.learning.algorithms import ALGORITHMS
 from assistax.settings import with_settings
-from assistax.training.configuration import TRAINERS, configure
+from assistax.training.configuration import configure
 from assistax.training.presets import PRESETS
 from assistax.training.run import Run
 from assistax.training.search import SEARCH, choices, draw, intervals
@@ -75,7 +76,7 @@ def test_numbers_are_log_uniform_and_choices_are_balanced():
 
 def test_the_papers_tables_lie_within_what_is_searched():
     for row, tasks in PRESETS["paper"].items():
-        group = TRAINERS[row.split("_")[0]][1]
+        group = ALGORITHMS[row.split("_")[0]].group
         for settings in tasks.values():
             for name, interval in intervals(SEARCH[group]).items():
                 assert interval.low < settings[name.split(".")[1]] < interval.high
@@ -120,7 +121,7 @@ def test_what_is_no_input_gets_a_program_of_its_own(tmp_path):
 
 def alone(config, seeds):
     """By seed, the return at the pace of every iteration of the ordinary run, from its rewards."""
-    trainer = TRAINERS[config.algorithm][0](Cue(), getattr(config, config.group), ENVS, 5)
+    trainer = config.kind.trainer(Cue(), config.method, ENVS, 5)
 
     def iteration(state):
         state, batch = trainer.collect(state)

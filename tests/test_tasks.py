@@ -78,7 +78,7 @@ def rollout(env, steps, start_touching):
         if start_touching:
             actions = jax.tree.map(lambda a: 0.2 * a, actions)
         before = state.physics
-        state, obs, _, _, _, info = step(state, actions)
+        obs, state, _, _, _, info = step(key, state, actions)
         yield mujoco_says(env, before, actions), state, obs, info
 
 
@@ -400,7 +400,7 @@ def test_visiting_the_last_point_ends_the_episode_as_terminated(envs):
         late = dataclasses.replace(state, task=env.task.reset(None), t=jnp.int32(t))
         almost = dataclasses.replace(late, task=dataclasses.replace(late.task, visited=visited))
         actions = {agent: jnp.zeros(n) for agent, n in env.action_sizes.items()}
-        after, _, _, terminated, truncated, info = jax.jit(env.step_env)(almost, actions)
+        _, after, _, terminated, truncated, info = jax.jit(env.step_env)(jax.random.key(0), almost, actions)
         assert terminated["__all__"] and not truncated["__all__"]
         assert info["reward_terms"]["wipe"] == 3.0
         assert info["metrics"]["success"] == 1.0 and info["metrics"]["fraction_visited"] == 1.0

@@ -23,6 +23,7 @@ from assistax.physics import PhysicsState, make_engine
 from assistax.physics.batching import map_where, whole_batch
 from assistax.pytree import pytree
 from assistax.settings import with_settings
+from assistax.spaces import Box
 from assistax.tasks import task_class
 from assistax.tasks.base import Sensors, TaskState
 from assistax.tasks.rewards import norm
@@ -55,20 +56,6 @@ class EnvConfig:
         choose("control mode", self.control, ["torque", "position"])
 
 
-@dataclass(frozen=True)
-class Box:
-    """A box in R^n, as in Gymnasium; without bounds they are infinite."""
-
-    shape: tuple[int, ...]
-    low: float = -np.inf
-    high: float = np.inf
-    dtype: Any = jnp.float32
-
-    def sample(self, key: jax.Array) -> jax.Array:
-        """Uniform within bounds."""
-        return jax.random.uniform(key, self.shape, self.dtype, self.low, self.high)
-
-
 @pytree
 class EnvState:
     physics: PhysicsState
@@ -77,6 +64,7 @@ class EnvState:
     phase: jax.Array  # [human's actions] rad, of the tremor
     force: jax.Array  # N, of the tool on the person in the step before
     t: jax.Array  # int32, control steps since the reset
+    seed: jax.Array  # uint32 [2], what the next automatic reset draws with, beside the step's key
     episode: dict[str, jax.Array]  # sums and peaks over the episode so far, see Env.metrics
 
 
@@ -89,6 +77,7 @@ class _Start(NamedTuple):
     person: HumanProfile
     phase: jax.Array
     overrides: dict[str, jax.Array]
+    seed: jax.Array
 
 
 class Env:
@@ -154,7 +143,8 @@ class Env:
         """One control step (8 ms) with auto-reset.
 
         Args:
-          key: used for the draws of an automatic reset.
+          key: what an automatic reset draws with, beside a seed that the state carries: the same key at every
+            step gives fresh episodes, too.
           actions: "robot" [7] and "human" [2 or 3], each entry clipped to [-1, 1].
 
         Returns:
@@ -167,9 +157,9 @@ class Env:
             followed; "reward_terms" by name; "metrics" of the episode up to and with this step;
             "force" on the person in N; "fault" of the engine.
         """
-        end, obs, rewards, terminated, truncated, info = self.step_env(state, actions)
+        obs, end, rewards, terminated, truncated, info = self.step_env(key, state, actions)
         done = terminated["__all__"] | truncated["__all__"]
-        start = self._draw_where(done, key)
+        start = self._draw_where(done, key, state.seed)
         physics = self.engine.reinit(end.physics, done, start.qpos, start.qvel, start.overrides)
         kept = dataclasses.replace(end, physics=physics)
         state = jax.tree.map(partial(jnp.where, done), self._begin(physics, start, jnp.int32(0)), kept)
@@ -177,8 +167,12 @@ class Env:
         info["final_global_observation"] = self.global_obs(end)
         return self._observe(state), state, rewards, terminated, truncated, info
 
-    def step_env(self, state: EnvState, actions: Obs):
-        """One control step without auto-reset: (state, obs, rewards, terminated, truncated, info)."""
+    def step_env(self, key: jax.Array, state: EnvState, actions: Obs):
+        """`step` without the auto-reset: the ended episode's own last observation and state.
+
+        Nothing is drawn in a step; the key is there so that both have one signature.
+        """
+        del key
         physics = self.engine.step(state.physics, self._trembling(self._ctrl(actions), state))
         s = self.sensors(physics)
         task = self.task.advance(s, state.task)
@@ -205,8 +199,8 @@ class Env:
         }
         everyone = (*AGENTS, "__all__")
         return (
-            state,
             self._observe(state),
+            state,
             dict.fromkeys(AGENTS, reward),
             dict.fromkeys(everyone, terminated),
             dict.fromkeys(everyone, truncated),
@@ -263,20 +257,25 @@ class Env:
         limits = overrides.get("jnt_range", jnp.asarray(self.model.jnt_range))
         qpos = jnp.clip(self._start + noise[0], limits[:, 0], limits[:, 1])
         phase = jax.random.uniform(phase_key, (self.action_sizes["human"],), maxval=2.0 * jnp.pi)
-        return _Start(qpos, noise[1], self.task.reset(task_key), person, phase, overrides)
+        seed = jax.random.bits(jax.random.fold_in(key, 1), (2,), jnp.uint32)
+        return _Start(qpos, noise[1], self.task.reset(task_key), person, phase, overrides, seed)
 
-    def _draw_batch(self, done: jax.Array, keys: jax.Array) -> _Start:
+    def _draw_batch(self, done: jax.Array, keys: jax.Array, seeds: jax.Array) -> _Start:
         """What a reset draws [n, ...] where an episode is done, zeros elsewhere: random bits are not free."""
-        shapes = jax.eval_shape(jax.vmap(self._draw), keys)
-        blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), shapes)
-        return map_where(jax.vmap(self._draw), done, blank, keys)
+
+        @jax.vmap
+        def draw(key, seed):
+            return self._draw(jax.random.fold_in(jax.random.fold_in(key, seed[0]), seed[1]))
+
+        blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(draw, keys, seeds))
+        return map_where(draw, done, blank, keys, seeds)
 
     def _begin(self, physics: PhysicsState, start: _Start, t) -> EnvState:
         names = ["return", "peak_force", "seconds_over_force_limit", "work_robot", "work_human"]
         if self.config.human.preferring:
             names += ["task_return", "preference_return"]
         episode = {name: jnp.float32(0.0) for name in names}
-        return EnvState(physics, start.task, start.person, start.phase, jnp.float32(0.0), t, episode)
+        return EnvState(physics, start.task, start.person, start.phase, jnp.float32(0.0), t, start.seed, episode)
 
     def _ctrl(self, actions: Obs) -> jax.Array:
         robot, human = (jnp.clip(actions[agent], -1.0, 1.0) for agent in AGENTS)

@@ -16,29 +16,32 @@ def with_settings(config: T, settings: Mapping[str, Any], also: Iterable[str] = 
     """A copy of the dataclass `config` with fields replaced by name, values cast to their types.
 
     A name may reach into nested dataclasses ("ppo.learning_rate"). `also` are names that the
-    caller would have accepted, listed when a name is unknown.
+    caller would have accepted, listed when a name is unknown. A configuration may have an attribute `renamed`:
+    fields that are set by another name.
     """
     hints = typing.get_type_hints(type(config))
+    renamed = getattr(config, "renamed", {})
+    fields = {renamed.get(name, name): name for name in hints}
     changes: dict[str, Any] = {}
     nested: dict[str, dict[str, Any]] = {}
     for name, value in settings.items():
         head, _, rest = name.partition(".")
-        choose("setting", prefix + head, [prefix + n for n in (*hints, *also)])
-        inner = getattr(config, head)
+        choose("setting", prefix + head, [prefix + n for n in (*fields, *also)])
+        inner = getattr(config, fields[head])
         if dataclasses.is_dataclass(inner) and not isinstance(value, type(inner)):
             if rest:
                 nested.setdefault(head, {})[rest] = value
             elif isinstance(value, Mapping):
                 nested.setdefault(head, {}).update(value)
             else:
-                fields = ", ".join(f"{prefix}{head}.{f.name}" for f in dataclasses.fields(inner))
-                raise UsageError(f"{prefix}{head} is a group; set one of {fields}.")
+                parts = ", ".join(f"{prefix}{head}.{f.name}" for f in dataclasses.fields(inner))
+                raise UsageError(f"{prefix}{head} is a group; set one of {parts}.")
         elif rest:
             raise UsageError(f"{prefix}{head} has no parts, so {prefix}{name} does not exist.")
         else:
-            changes[head] = _cast(prefix + head, hints[head], value)
+            changes[fields[head]] = _cast(prefix + head, hints[fields[head]], value)
     for head, values in nested.items():
-        changes[head] = with_settings(getattr(config, head), values, prefix=f"{prefix}{head}.")
+        changes[fields[head]] = with_settings(getattr(config, fields[head]), values, prefix=f"{prefix}{head}.")
     return dataclasses.replace(config, **changes)  # ty: ignore[invalid-argument-type]
 
 

@@ -9,7 +9,7 @@ import tyro
 
 from assistax.cli.about import bench, doctor, humans, tasks
 from assistax.cli.crossing import crossplay
-from assistax.cli.playing import evaluate, export, gallery, play, render
+from assistax.cli.playing import evaluate, export, play, render
 from assistax.cli.reproducing import reproduce
 from assistax.cli.results import plot, table
 from assistax.cli.sweeping import sweep
@@ -18,7 +18,7 @@ from assistax.errors import AssistaxError
 
 COMMANDS = (
     *(train, sweep, play, evaluate, crossplay, render, table, plot),
-    *(export, gallery, reproduce, tasks, humans, doctor, bench),
+    *(export, reproduce, tasks, humans, doctor, bench),
 )
 
 

@@ -1,5 +1,6 @@
-"""`assistax play`, `evaluate`, `render`, `export` and `gallery`."""
+"""`assistax play`, `evaluate`, `render` and `export`."""
 
+import dataclasses
 from pathlib import Path
 from typing import Annotated
 
@@ -131,34 +132,9 @@ def export(run: Annotated[Path, tyro.conf.Positional], *, out: Path, seed: int |
     seeds = list(found.seeds.seeds)
     if seed is not None and seed not in seeds:
         raise UsageError(f"{run} has no seed {seed}; it has {', '.join(map(str, seeds))}.")
-    save_team(found, out, 0 if seed is None else seeds.index(seed))
+    seed = seeds[0] if seed is None else seed
+    save_team(out, found.teams()[seeds.index(seed)], dataclasses.replace(found.config, seed=seed))
     print(f"wrote {out}")
-
-
-def gallery(*, out: Path = Path("docs/images")) -> None:
-    """Render a picture and a short film of the expert for every task, for the documentation.
-
-    Args:
-      out: folder for TASK.png and TASK.webp; must exist.
-    """
-    from assistax.env import make
-    from assistax.evaluation.film import film
-    from assistax.evaluation.playing import play, typical
-    from assistax.policies import scripted_team
-    from assistax.tasks import TASKS
-
-    if not out.is_dir():
-        raise UsageError(f"The folder {out} does not exist.")
-    for task in TASKS:
-        env = make(task)
-        result = play(env, scripted_team("expert", env), 9)
-        episode = typical(result)
-        on = result["playing"][episode]
-        qpos, marker = result["qpos"][episode][on], result["marker"][episode][on]
-        film(task, qpos, marker, env.dt, out / f"{task}.webp", width=400, height=300)
-        half = len(qpos) // 2
-        film(task, qpos[:half], marker[:half], env.dt, out / f"{task}.png", width=960, height=640)
-        print(f"wrote {out / task}.png and .webp")
 
 
 def _film_path(out: Path | None) -> Path | None:

@@ -30,7 +30,7 @@ def table(runs: Runs = (), *, compare: bool = False, markdown: bool = False, jso
       markdown: print Markdown.
       json: print JSON, with seeds, commits, versions and hardware.
     """
-    from assistax.reference import markdown as as_markdown
+    from assistax.results.comparison import markdown as as_markdown
     from assistax.results.comparison import read_references, report, tables
     from assistax.results.stored import experiments, find_runs
 

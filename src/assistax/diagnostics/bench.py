@@ -41,7 +41,7 @@ def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
 
     def without_reset(state, key):
         actions = act(key)
-        state, obs, reward, _, _, info = jax.vmap(env.step_env)(state, actions)
+        obs, state, reward, _, _, info = jax.vmap(env.step_env)(jax.random.split(key, num_envs), state, actions)
         return state, _used(obs, reward, info)
 
     def engine_only(state, key):

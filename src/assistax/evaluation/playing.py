@@ -63,7 +63,7 @@ class Evaluator:
                 seen = state if team[agent].privileged else obs[agent]
                 act = team[agent].policy.act
                 actions[agent], carries[agent] = act(params[agent], carries[agent], seen, first, k)
-            state, obs, _, terminated, truncated, info = env.step_env(state, actions)
+            obs, state, _, terminated, truncated, info = env.step_env(key, state, actions)
             still_on = playing & ~(terminated["__all__"] | truncated["__all__"])
             out = {k: info[k] for k in ("reward_terms", "metrics", "force", "fault")}
             out |= {"playing": playing, "qpos": state.physics.qpos, "marker": env.markers(state)}

@@ -19,7 +19,7 @@ class Algorithm:
 
     name: str
     trainer: Callable[..., Trainer]  # see `learning.trainer.Trainer`
-    config_type: type  # frozen dataclass of its settings; their defaults serve where no preset has a row
+    config_type: Any  # frozen dataclass of its settings; their defaults serve where no preset has a row
     group: str  # its settings are GROUP.NAME in --set and config.json
     switches: Mapping[str, Any] = field(default_factory=dict)  # settings that make it this algorithm, not to be changed
 

@@ -16,7 +16,7 @@ from assistax.policies.experts import BOUNDS
 from assistax.results.stored import Experiment, by_method, check_comparable, differences, flat, read_json, scales_return
 from assistax.tasks import task_class
 
-REFERENCES = Path("results/experts.json")  # what scripted policies reach, written by `assistax.reference`
+REFERENCES = Path("results/experts.json")  # what scripted policies reach, written by `tools/pages.py`
 SCALES = {  # of a return
     "bound": "return / paper's bound",
     "expert": "return / expert's return",
@@ -226,6 +226,11 @@ def tables(said: dict[str, Any]) -> list[Table]:
             )
         found.append((["this", "beats that", "person", "tasks", "seeds", "with probability [95 %]"], cells))
     return found
+
+
+def markdown(head: list[str], rows: list[list[str]]) -> str:
+    """A table in Markdown."""
+    return "\n".join("| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows))
 
 
 _METHOD = ("algorithm", "preset", "person", "M steps")

@@ -112,28 +112,26 @@ _OUR_SAC = {
 _DEFAULT = {row: dict.fromkeys(TASKS, _OUR_SAC if "sac" in row else _OURS) for row in _PAPER}
 PRESETS: dict[str, dict[str, dict[str, dict[str, Any]]]] = {"paper": _PAPER, "default": _DEFAULT}
 
-# What makes an algorithm of a trainer: do its critics see the whole team?
-ALGORITHMS = {
-    "ippo": {"central_critic": False},
-    "mappo": {"central_critic": True},
-    "masac": {"joint_critics": True},
-    "isac": {"joint_critics": False},
-}
-
 
 def num_envs(name: str, algorithm: str) -> int:
     """How many environments a preset plays side by side; our PPO learns more often, from smaller batches."""
-    return 256 if name == "default" or algorithm in ("masac", "isac") else 1024
+    return 1024 if name == "paper" and algorithm in ("ippo", "mappo") else 256
 
 
 def preset(name: str, algorithm: str, task: str, recurrent: bool = False) -> dict[str, Any]:
-    """The settings of a preset, by field of the algorithm's configuration."""
-    choose("preset", name, PRESETS)
-    switches = ALGORITHMS[choose("algorithm", algorithm, ALGORITHMS)]
+    """The settings of a preset, by field of the algorithm's configuration.
+
+    `default` serves every task, and has nothing to say of an algorithm that it does not know; `paper` has what is in
+    the paper's tables.
+    """
+    rows = PRESETS[choose("preset", name, PRESETS)]
     row = f"{algorithm}_rnn" if recurrent else algorithm
-    if row not in PRESETS[name]:
-        raise UsageError(f"{algorithm} has no recurrent networks; leave out --recurrent.")
-    tasks = PRESETS[name][row]
-    if task not in tasks:
-        raise UsageError(f"The preset {name!r} has no {algorithm} settings for {task!r}; it has {', '.join(tasks)}.")
-    return tasks[task] | switches
+    if row not in rows and name == "default":
+        return {}
+    if row not in rows:
+        raise UsageError(f"The preset {name!r} has no settings for {algorithm}{' with a GRU' * recurrent}.")
+    if task not in rows[row] and name == "default":
+        return dict(next(iter(rows[row].values())))
+    if task not in rows[row]:
+        raise UsageError(f"The preset {name!r} has no settings for {task!r}; it has {', '.join(rows[row])}.")
+    return dict(rows[row][task])

@@ -55,7 +55,7 @@ class Sweep:
     def __init__(self, folder: Path, config: TrainConfig, search: Search, drawn: Sequence[dict[str, Any]]):
         self.folder, self.config, self.search, self.drawn = folder, config, dict(search), list(drawn)
         self.seeds = range(config.seed, config.seed + config.num_seeds)
-        inputs = {f"{config.group}.{name}" for name in tunable(getattr(config, config.group))}
+        inputs = {f"{config.group}.{name}" for name in tunable(config.method)}
         if compiled_in := set(intervals(search)) - inputs:
             known = ", ".join(sorted(inputs))
             raise UsageError(f"{min(compiled_in)} takes choices like A,B,C; an interval is possible for {known}.")

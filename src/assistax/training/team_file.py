@@ -6,7 +6,7 @@ The best team of every task is part of the package: `assistax play TASK`.
 import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,10 +17,7 @@ from assistax.policies import Player, Team
 from assistax.settings import with_settings
 from assistax.tasks import TASKS, task_class
 from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint
-from assistax.training.configuration import stored_config, to_json, trained_env
-
-if TYPE_CHECKING:
-    from assistax.training.run import Run
+from assistax.training.configuration import TrainConfig, stored_config, to_json, trained_env
 
 TRAINED = Path(__file__).parents[1] / "trained"
 
@@ -35,21 +32,19 @@ def trained_file(task: str) -> Path:
     return path
 
 
-def save_team(run: "Run", path: Path, index: int = 0) -> None:
-    """Write the team of the run's seed number `index`.
+def save_team(path: Path, team: Team, config: TrainConfig) -> None:
+    """Write a team that was trained by this configuration.
 
     Weights in half precision: tens of KB, and no more rounding than a small change of the observation.
     """
     if path.suffix != ".safetensors":
         raise UsageError(f"A team file is called NAME.safetensors, not {path.name!r}.")
-    if run.partners:
-        absent = ", ".join(run.partners)
-        raise UsageError(f"Only whole teams can be exported; in {run.folder} the {absent} did not learn.")
-    params = {agent: dict(player.member(0)) for agent, player in run.teams()[index].items()}
+    if absent := ", ".join(text.partition("=")[0] for text in config.partners):
+        raise UsageError(f"Only whole teams can be exported; in this run the {absent} did not learn.")
+    params = {agent: dict(player.member(0)) for agent, player in team.items()}
     for parameters in params.values():  # the normaliser's numbers may be beyond half precision
         parameters["actor"] = jax.tree.map(lambda x: x.astype(jnp.float16), parameters["actor"])
-    config = dataclasses.replace(run.config, seed=run.seeds.seeds[index], num_seeds=1)
-    save_checkpoint(path, params, {"team": to_json(config)})
+    save_checkpoint(path, params, {"team": to_json(dataclasses.replace(config, num_seeds=1))})
 
 
 def load_team(path: Path, settings: Mapping[str, Any] | None = None, engine: str | None = None) -> tuple[Env, Team]:

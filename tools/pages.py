@@ -1,9 +1,9 @@
 """Pages of the documentation that are measured, not typed:
 
-python -m assistax.reference measure   # results/experts.json, some minutes
-python -m assistax.reference experts   # docs/experts.md, from it
-python -m assistax.reference speed     # docs/speed.md, from results/bench
-python -m assistax.reference results   # docs/results.md and its curves, from results/
+python tools/pages.py measure   # results/experts.json, some minutes
+python tools/pages.py experts   # docs/experts.md, from it
+python tools/pages.py speed     # docs/speed.md, from results/bench
+python tools/pages.py results   # docs/results.md and its curves, from results/
 """
 
 import json
@@ -21,7 +21,7 @@ from assistax.files import write_atomically
 from assistax.human import DISABILITIES
 from assistax.policies import scripted_team
 from assistax.policies.experts import BOUNDS
-from assistax.results.comparison import read_references, report, tables
+from assistax.results.comparison import markdown, read_references, report, tables
 from assistax.results.figures import learning_curves
 from assistax.results.stored import experiments, find_runs
 from assistax.stamp import commit
@@ -32,7 +32,7 @@ EXPERTS_PAGE = """# Scripted policies
 
 Each task has a scripted robot, the expert, that knows the whole simulator state (`src/assistax/experts.py`).
 All numbers are over {episodes} episodes on the evaluation seeds; the person is still unless said otherwise. This page
-is written by `python -m assistax.reference experts` from `results/experts.json`.
+is written by `python tools/pages.py experts` from `results/experts.json`.
 
 ## Expert
 
@@ -59,11 +59,6 @@ force inside it; the plain one does not:
 
 {considerate}
 """
-
-
-def markdown(head: list[str], rows: list[list[str]]) -> str:
-    """A table."""
-    return "\n".join("| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *rows))
 
 
 def measure() -> list[dict[str, Any]]:
@@ -131,7 +126,7 @@ SPEED_PAGE = """# Speed
 
 Open loop, everything included (observations, rewards, auto-reset, random actions), {num_envs} environments, the
 `{engine}` engine on {hardware}; `assistax bench TASK --train --json` at commit {commit}. Written from
-`results/bench/*.json` by `python -m assistax.reference speed`.
+`results/bench/*.json` by `python tools/pages.py speed`.
 
 {ours}
 
@@ -183,7 +178,7 @@ def speed(folder: Path) -> str:
 RESULTS_PAGE = """# Trained teams
 
 Returns and success over the evaluation seeds at the end of training, deterministic, with 95 % intervals over training
-seeds; a row with one seed has none. Written from `results/` by `python -m assistax.reference results`;
+seeds; a row with one seed has none. Written from `results/` by `python tools/pages.py results`;
 [results/README.md](../results/README.md) tells what these teams do.
 
 {tables}
