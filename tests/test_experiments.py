@@ -7,7 +7,7 @@ import pytest
 
 from assistax.cli.reproducing import duration
 from assistax.errors import UsageError
-from assistax.training.experiments import advance, choose_experiments, experiments, status
+from assistax.experiments import advance, choose_experiments, experiments, status
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ FLOORS = (
     ("training",),
     ("teamwork",),
     ("adapters", "diagnostics"),
+    ("experiments",),
     ("cli",),
 )
 

@@ -21,7 +21,7 @@ def reproduce(*, budget: str | None = None, only: str | None = None, seeds: int 
       only: experiments whose name contains this; * and ? stand for anything.
       seeds: seeds of each training (the paper has 16).
     """
-    from assistax.training.experiments import advance, choose_experiments, status
+    from assistax.experiments import advance, choose_experiments, status
 
     results, work = Path("results"), Path("runs/reproduce")
     if seeds < 1:
