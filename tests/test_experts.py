@@ -13,17 +13,21 @@ from assistax import scenes
 from assistax.errors import UsageError
 from assistax.evaluation.playing import play
 from assistax.policies import SCRIPTED, Player, scripted_team
-from assistax.policies.experts import BOUNDS, EXPERTS, Reflex, expert
+from assistax.policies.experts import expert
+from assistax.policies.people import Reflex
 from assistax.scenes import geometry
+from assistax.tasks import TASKS
+
+NAMES = ["scratch-v0", "bed_bath-v0", "arm_assist-v0", "feeding-v0", "tooth_brushing-v0"]
 
 
 @pytest.fixture(scope="module")
 def envs():
-    return {name: assistax.make(name, engine="mujoco") for name in EXPERTS}
+    return {name: assistax.make(name, engine="mujoco") for name in NAMES}
 
 
 @pytest.mark.parametrize("site", ["tool_tip", "mouth", "wrist_target"])
-@pytest.mark.parametrize("name", EXPERTS)
+@pytest.mark.parametrize("name", NAMES)
 def test_chain_equals_mujocos_site_and_jacobian(envs, name, site):
     model = envs[name].model
     joints = scenes.ROBOT_JOINTS if site == "tool_tip" else scenes.HUMAN_JOINTS
@@ -44,21 +48,21 @@ def test_chain_equals_mujocos_site_and_jacobian(envs, name, site):
 
 # What the experts reach with a margin; docs/experts.md has the means over 64 episodes.
 LEAST = {
-    "scratch": (2 / 3, 0.9),
-    "bed_bath": (1.0, 0.8),
-    "arm_assist": (1.0, 0.5),
-    "feeding": (1.0, 0.7),
-    "tooth_brushing": (1.0, 0.65),
+    "scratch-v0": (2 / 3, 0.9),
+    "bed_bath-v0": (1.0, 0.8),
+    "arm_assist-v0": (1.0, 0.5),
+    "feeding-v0": (1.0, 0.7),
+    "tooth_brushing-v0": (1.0, 0.65),
 }  # success, share of the paper's bound
 
 
-@pytest.mark.parametrize("name", EXPERTS)
+@pytest.mark.parametrize("name", NAMES)
 def test_the_expert_does_the_task(envs, name):
     env = envs[name]
     result = play(env, scripted_team("expert", env), episodes=3)
     success, share = LEAST[name]
     assert result["metrics"]["success"].mean() >= success
-    assert result["metrics"]["return"].mean() >= share * BOUNDS[name]
+    assert result["metrics"]["return"].mean() >= share * TASKS[name].bound
 
 
 class LooksAside(Reflex):
@@ -70,14 +74,14 @@ class LooksAside(Reflex):
 
 def test_the_feeding_expert_comes_to_where_the_face_is(envs):
     """To the right is toward the robot and beyond."""
-    env = envs["feeding"]
+    env = envs["feeding-v0"]
     team = scripted_team("expert", env) | {"human": Player(LooksAside(env, -1.0))}
     metrics = play(env, team, episodes=2)["metrics"]
     assert (metrics["success"] == 1).all() and (metrics["peak_force"] < 20).all()
 
 
 def test_actions_stay_within_bounds_and_finite_from_anywhere(envs):
-    env = envs["arm_assist"]
+    env = envs["arm_assist-v0"]
     policy = expert(env)
     _, state = env.reset(jax.random.key(0))
     for seed in range(5):
@@ -134,4 +138,4 @@ def test_the_considerate_expert_is_liked_more(name):
 
 def test_a_considerate_expert_needs_someone_to_consider(envs):
     with pytest.raises(UsageError, match=r"env\.human\.preference"):
-        scripted_team("considerate", envs["scratch"])
+        scripted_team("considerate", envs["scratch-v0"])

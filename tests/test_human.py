@@ -20,6 +20,7 @@ from assistax.human import DISABILITIES, HumanConfig, Person, disability, popula
 from assistax.human.profile import stack, unstack
 from assistax.policies import scripted_team
 from assistax.settings import with_settings
+from assistax.tasks import TASKS
 from assistax.training.checkpoint import load_checkpoint, save_checkpoint
 
 
@@ -28,7 +29,7 @@ def same(tree, other):
     return jax.tree.all(jax.tree.map(lambda a, b: np.array_equal(a, b), tree, other))
 
 
-TASKS = ["scratch", "bed_bath", "arm_assist", "feeding", "tooth_brushing"]
+NAMES = ["scratch-v0", "bed_bath-v0", "arm_assist-v0", "feeding-v0", "tooth_brushing-v0"]
 
 
 def test_liking_is_the_papers_gaussian_on_its_whole_domain():
@@ -55,7 +56,7 @@ def test_positive_terms_add_up_to_the_budget_whatever_the_weights():
 def test_combined_maxima_are_the_papers_table():
     task = {"scratch": 1000, "bed_bath": 1156, "arm_assist": 11280, "feeding": 4700, "tooth_brushing": 3140}
     combined = {"scratch": 2000, "bed_bath": 2312, "arm_assist": 15792, "feeding": 6580, "tooth_brushing": 4396}
-    assert {name: task[name] + 1000 * preference.BUDGET[name] for name in task} == combined
+    assert {name: task[name] + 1000 * TASKS[f"{name}-v0"].preference_budget for name in task} == combined
 
 
 def test_a_touch_counts_once():
@@ -182,7 +183,7 @@ def test_people_travel_with_the_state_and_change_at_a_reset(tmp_path):
 PEOPLE = {"none": {}, **DISABILITIES, "stiff": {"motion": 0.1}}
 
 
-@pytest.fixture(scope="module", params=TASKS)
+@pytest.fixture(scope="module", params=NAMES)
 def moves(request):
     """moves[name, action]: sensors [250, ...] of one of PEOPLE, who holds the same action on every joint
     for 2 s while the robot is still; and with them the "gain" and "limits" of that person's model."""
@@ -260,7 +261,7 @@ def test_every_part_of_the_standard_settings_shows(moves):
             assert (after[moved] / before[moved]).min() < 0.95
 
 
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", NAMES)
 def test_a_reset_starts_within_narrow_limits(task):
     """Of the least motion that can be asked for, and with far more noise than the limits leave room for."""
     env = assistax.make(task, engine="mujoco", reset_noise=0.5, human={"disability": "motion=0.05"})

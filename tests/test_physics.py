@@ -13,11 +13,12 @@ from assistax import scenes
 from assistax.errors import SimulationError
 from assistax.physics import check_faults, make_engine
 from assistax.physics.engine import OVERFLOW, UNSTABLE
+from assistax.tasks import task_spec
 
 
 @pytest.fixture(scope="module")
 def model():
-    return scenes.build(scenes.SCENES["scratch"], visuals=False).compile()
+    return scenes.build(task_spec("scratch-v0").scene, visuals=False).compile()
 
 
 @pytest.fixture(scope="module")
@@ -148,7 +149,7 @@ def test_nested_vmap_equals_flat_in_every_engine(model, engine, pressing):
 )
 def test_lost_contacts_are_an_error_that_names_the_setting(pressing, name, buffers, setting):
     qpos, _ = pressing
-    spec = scenes.build(scenes.SCENES["scratch"], visuals=False)
+    spec = scenes.build(task_spec("scratch-v0").scene, visuals=False)
     if name == "mujoco":
         spec.memory = 12_000
     engine = make_engine(name, spec.compile(), **buffers)

@@ -96,7 +96,7 @@ def test_any_configuration_plays(engine, seed):
     np.testing.assert_allclose(rewards["robot"], total, rtol=1e-4, atol=1e-4)
     liked = sum(term for name, term in info["reward_terms"].items() if name.startswith("prefer"))
     assert human.preferring == ("preference_return" in info["metrics"])
-    assert np.all(liked <= preference.BUDGET[task] + 1e-4)
+    assert np.all(liked <= TASKS[task].preference_budget + 1e-4)
     for agent in env.agents:
         seeing = human.preferring and human.visibility in {"robot": ["both"], "human": ["both", "human"]}[agent]
         assert seeing == ("preference" in env.obs_layout(agent))

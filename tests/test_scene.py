@@ -5,8 +5,9 @@ import numpy as np
 import pytest
 
 from assistax import scenes
-from assistax.scenes import ROBOT_JOINTS, SCENES
+from assistax.scenes import ROBOT_JOINTS
 from assistax.scenes.build import READY_POSE
+from assistax.tasks import TASKS
 
 HUMAN_MASSES = {
     "pelvis": 6.6162, "waist": 2.2619, "torso": 5.8538, "head": 3.0536,
@@ -42,9 +43,9 @@ TOOL_TIP = {"scratcher": (0, 0, 0.075), "wiper": (0, 0, 0.03), "hook": (-0.05, 0
 TOOL_MASS = {"scratcher": 0.2516, "wiper": 0.3360, "hook": 0.1728, "spoon": 0.2334, "toothbrush": 0.2269}
 
 
-@pytest.fixture(scope="module", params=list(SCENES))
+@pytest.fixture(scope="module", params=list(TASKS))
 def scene(request):
-    config = SCENES[request.param]
+    config = TASKS[request.param].scene
     model = scenes.build(config).compile()
     return config, model
 

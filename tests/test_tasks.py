@@ -13,6 +13,7 @@ from test_env import contact_force, mujoco_says
 
 import assistax
 from assistax import scenes
+from assistax.tasks import task_spec
 
 SIZES = {  # robot, human, global observation; human's action
     "scratch": (34, 38, 52, 3),
@@ -423,7 +424,7 @@ def test_a_point_counts_once(envs):
 
 def test_a_bite_is_taken_with_the_bowl_from_its_middle_to_its_tip(envs):
     """Against many points of the bowl that touches. The face is solid: a straight spoon's middle stays 3.6 cm away."""
-    task, model = envs["feeding"].task, scenes.build(scenes.SCENES["feeding"]).compile()
+    task, model = envs["feeding"].task, scenes.build(task_spec("feeding-v0").scene).compile()
     of_tool = model.geom_bodyid == model.body("tool").id
     [half] = model.geom_size[of_tool & (model.geom_contype > 0)]
     s = dict(envs["feeding"].sensors(envs["feeding"].reset(jax.random.key(0))[1].physics))

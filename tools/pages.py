@@ -20,14 +20,15 @@ from assistax.evaluation.playing import evaluate, play, summarize
 from assistax.files import write_atomically
 from assistax.human import DISABILITIES
 from assistax.policies import scripted_team
-from assistax.policies.experts import BOUNDS
 from assistax.results.comparison import markdown, read_references, report, tables
 from assistax.results.figures import learning_curves
 from assistax.results.stored import experiments, find_runs
 from assistax.stamp import commit
+from assistax.tasks import TASKS
 from assistax.teamwork import crossplay
 
 EPISODES = 64
+BOUNDS = {spec.name: spec.bound for spec in TASKS.values() if spec.version == 0}
 EXPERTS_PAGE = """# Scripted policies
 
 Each task has a scripted robot, the expert, that knows the whole simulator state (`src/assistax/experts.py`).
@@ -74,7 +75,7 @@ def measure() -> list[dict[str, Any]]:
             add(task, policy, _play(task, policy))
         for policy in ("still", "random", "expert", "considerate"):
             add(task, policy, _play(task, policy, human={"preference": "sweep"}), preference="sweep")
-        env = make(task, human={"disability": "standard"})
+        env = make(f"{task}-v0", human={"disability": "standard"})
         result = play(env, scripted_team("expert", env), len(DISABILITIES) * EPISODES)
         episodes = {name: result[name] for name in ("terms", "metrics", "force", "playing")}
         for index, disability in enumerate(DISABILITIES):
@@ -84,7 +85,7 @@ def measure() -> list[dict[str, Any]]:
 
 
 def _play(task: str, policy: str, **settings) -> dict[str, Any]:
-    env = make(task, **settings)
+    env = make(f"{task}-v0", **settings)
     return evaluate(env, scripted_team(policy, env), EPISODES)
 
 

@@ -24,7 +24,7 @@ from assistax.physics.batching import map_where, whole_batch
 from assistax.pytree import pytree
 from assistax.settings import with_settings
 from assistax.spaces import Box
-from assistax.tasks import task_class
+from assistax.tasks import task_spec
 from assistax.tasks.base import Sensors, TaskState
 from assistax.tasks.rewards import norm
 
@@ -87,9 +87,9 @@ class Env:
     num_agents = len(AGENTS)
 
     def __init__(self, task: str, engine: str, config: EnvConfig, task_config: Any = None):
-        self.name, self.config = task, config
-        cls = task_class(task)
-        scene = dataclasses.replace(scenes.SCENES[task], control=config.control)
+        self.spec, self.config = task_spec(task), config
+        self.name = self.spec.id
+        scene = dataclasses.replace(self.spec.scene, control=config.control)
         self.model = model = scenes.build(scene, visuals=False).compile()
         self.engine = make_engine(
             engine,
@@ -101,7 +101,7 @@ class Env:
         )
         self.episode_length = config.episode_length
         self.dt = float(model.opt.timestep * config.substeps)  # s per control step
-        self.task = cls(task_config or cls.config_type(), model, self.dt)
+        self.task = self.spec.task(task_config or self.spec.config, model, self.dt)
         self._slices = scenes.sensor_slices(model)
         driven = scene.human_driven
         self._body = disability.Body(model, driven)
@@ -293,7 +293,7 @@ class Env:
         action = jnp.clip(actions["robot"], -1.0, 1.0)
         speed, force = norm(s["tool_vel"]), norm(s["tool_force"])
         liked = state.person.preference
-        return preference.reward_terms(liked, speed, force, state.force, action, preference.BUDGET[self.name])
+        return preference.reward_terms(liked, speed, force, state.force, action, self.spec.preference_budget)
 
     def _blocks(self, state: EnvState) -> dict[str, jax.Array]:
         """All observation blocks by name, in the order of the paper's observation table."""
@@ -372,7 +372,7 @@ def make(task: str, engine: str = "auto", **settings) -> Env:
     Raises:
       UsageError: an unknown task, engine or setting; the message lists what exists.
     """
-    task_config = task_class(task).config_type()
+    task_config = task_spec(task).config
     task_fields = {f.name for f in dataclasses.fields(task_config)}
     for_task = {name: value for name, value in settings.items() if name in task_fields}
     for_env = {name: value for name, value in settings.items() if name not in task_fields}

@@ -76,7 +76,7 @@ class Training:
             algorithm, _, memory = self.algorithm.partition("-")
             choices = {"algorithm": algorithm, "recurrent": bool(memory), "preset": self.preset}
             settings = PEOPLE[self.people] | {"evaluations": max(20, self.steps // 1_000_000)}
-            run = Run.create(configure(self.task, settings, steps=self.steps, seed=self.seed, **choices), work)
+            run = Run.create(configure(f"{self.task}-v0", settings, steps=self.steps, seed=self.seed, **choices), work)
         if run.train(seconds) is None:
             return None
         return [work / name for name in KEPT]
@@ -100,7 +100,7 @@ class Timing:
         from assistax.diagnostics.bench import bench, bench_training
         from assistax.env import make
 
-        env = make(self.task)
+        env = make(f"{self.task}-v0")
         report = bench(env, 1024) | bench_training(env, 1024)
         work.mkdir(parents=True, exist_ok=True)
         path = work / f"{self.task}.json"
@@ -134,7 +134,7 @@ class Sweeping:
         if (work / "sweep.json").exists():
             sweep = Sweep.open(work)
         else:
-            config = configure(self.task, {}, algorithm=self.algorithm, preset="paper", steps=self.steps)
+            config = configure(f"{self.task}-v0", {}, algorithm=self.algorithm, preset="paper", steps=self.steps)
             sweep = Sweep.create(config, work, self.configs, SEARCH[config.group])
         if sweep.run(seconds=seconds) is None:
             return None

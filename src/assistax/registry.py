@@ -6,7 +6,7 @@ An installed package adds a task, an algorithm or a robot by an entry point in i
     pouring = "my_package.pouring:SPEC"
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from importlib import metadata
 from typing import TypeVar
 
@@ -20,16 +20,18 @@ class Registry(Mapping[str, T]):
 
     Args:
       what: what they are, in error messages ("algorithm").
+      name: the name of a thing.
       group: the entry points that name more of them ("assistax.algorithms"); read at the first look-up.
     """
 
-    def __init__(self, what: str, group: str):
-        self._what, self._group = what, group
+    def __init__(self, what: str, name: Callable[[T], str], group: str):
+        self._what, self._name, self._group = what, name, group
         self._things: dict[str, T] = {}
         self._found = False
 
-    def register(self, name: str, thing: T) -> T:
-        """Add a thing; raises UsageError if the name is another's."""
+    def register(self, thing: T) -> T:
+        """Add a thing; raises UsageError if its name is another's."""
+        name = self._name(thing)
         if self._things.setdefault(name, thing) is not thing:
             raise UsageError(f"There is a {self._what} named {name!r} already; choose another name.")
         return thing
@@ -57,7 +59,7 @@ class Registry(Mapping[str, T]):
         self._found = True
         for point in metadata.entry_points(group=self._group):
             try:
-                self.register(point.name, point.load())
+                self.register(point.load())
             except UsageError:
                 raise
             except Exception as error:  # another package's code can fail in any way; say whose

@@ -20,7 +20,7 @@ def teams_of(target: str, policy: str | None, engine: str | None, assignments: t
     from assistax.env import Env
     from assistax.policies import scripted_team
     from assistax.settings import parse_assignments
-    from assistax.tasks import TASKS
+    from assistax.tasks import TASKS, is_task
     from assistax.training.configuration import configure
     from assistax.training.run import Run
     from assistax.training.team_file import load_team, trained_file
@@ -33,7 +33,7 @@ def teams_of(target: str, policy: str | None, engine: str | None, assignments: t
         config = configure(target, settings, engine=engine)
         env = Env(target, config.engine, config.env, config.task_config)
         return env, [scripted_team(policy, env)], {"task": target, "policy": policy}
-    if target in TASKS:
+    if is_task(target):
         raise UsageError(f"Say who plays {target}: --policy trained, still, random, expert, ..., or give a run folder.")
     path = Path(target)
     if path.suffix == ".safetensors" and path.is_file():

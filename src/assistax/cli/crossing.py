@@ -60,14 +60,14 @@ def crossplay(
 
 def _entrants(targets: tuple[str, ...], engine: str | None, assignments: tuple[str, ...]):
     from assistax.policies import SCRIPTED, scripted_team
-    from assistax.tasks import TASKS
+    from assistax.tasks import is_task
     from assistax.teamwork.crossplay import Entrant
 
     found = {}
     for target in targets:
         if target not in SCRIPTED:
-            env, teams, _ = teams_of(target, "trained" if target in TASKS else None, engine, assignments)
-            name = "trained" if target in TASKS else Path(target).name.removesuffix(".safetensors")
+            env, teams, _ = teams_of(target, "trained" if is_task(target) else None, engine, assignments)
+            name = "trained" if is_task(target) else Path(target).name.removesuffix(".safetensors")
             names = [name] if len(teams) == 1 else [f"{name} {i + 1}" for i in range(len(teams))]
             found[target] = [Entrant(name, env, team) for name, team in zip(names, teams, strict=True)]
     if not found:

@@ -8,6 +8,7 @@ import numpy as np
 
 from assistax import scenes
 from assistax.errors import UsageError
+from assistax.tasks import task_spec
 
 FILM_FORMATS = {".mp4": 25, ".webp": 10, ".png": 1}  # frames per second; .webp plays in web pages
 
@@ -16,7 +17,7 @@ class Camera:
     """Renders joint positions of one task's scene. Use as a context manager."""
 
     def __init__(self, task: str, width: int = 640, height: int = 480, view: str = "main"):
-        self.model = scenes.build(scenes.SCENES[task]).compile()
+        self.model = scenes.build(task_spec(task).scene).compile()
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
         self.data = mujoco.MjData(self.model)
         self.view = view

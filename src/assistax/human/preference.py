@@ -11,8 +11,6 @@ from assistax.errors import UsageError, choose
 from assistax.human import spelling
 from assistax.pytree import pytree
 
-# Most that the preference reward can add per step, so that the paper's combined maxima hold.
-BUDGET = {"scratch": 1.0, "bed_bath": 1.156, "arm_assist": 4.512, "feeding": 1.88, "tooth_brushing": 1.256}
 TOUCH = 0.1  # N, τ: a touch begins when the force rises through this
 RANGES = {"speed": (0.0, 1.0), "force": (0.0, 100.0)}  # what can be wanted
 PARTS: spelling.Parts = {

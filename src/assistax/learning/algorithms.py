@@ -24,12 +24,12 @@ class Algorithm:
     switches: Mapping[str, Any] = field(default_factory=dict)  # settings that make it this algorithm, not to be changed
 
 
-ALGORITHMS: Registry[Algorithm] = Registry("algorithm", "assistax.algorithms")
+ALGORITHMS: Registry[Algorithm] = Registry("algorithm", lambda algorithm: algorithm.name, "assistax.algorithms")
 
 
 def register_algorithm(algorithm: Algorithm) -> Algorithm:
     """Add an algorithm; raises UsageError if its name is taken."""
-    return ALGORITHMS.register(algorithm.name, algorithm)
+    return ALGORITHMS.register(algorithm)
 
 
 for _name, _central in (("ippo", False), ("mappo", True)):

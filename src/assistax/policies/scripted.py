@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 
 from assistax.errors import choose
+from assistax.policies.experts import expert
+from assistax.policies.people import Reflex
 from assistax.policies.player import Player, Policy, Team
 
 
@@ -49,8 +51,6 @@ SCRIPTED = {  # by name, who plays the robot and who the human
 def scripted_policy(name: str, env, agent: str) -> Policy:
     """The policy called `name` for one agent: "still", "random", the robot's "expert" or "considerate", the human's
     "offer" or "withdraw"."""
-    from assistax.policies.experts import Reflex, expert
-
     size = env.action_sizes[agent]
     makers: dict[str, Callable[[], Policy]] = {"still": lambda: Still(size), "random": lambda: Random(size)}
     if agent == "robot":

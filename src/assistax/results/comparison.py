@@ -11,10 +11,8 @@ import numpy as np
 from assistax.env import EnvConfig
 from assistax.errors import UsageError, choose
 from assistax.evaluation.statistics import FEW_SEEDS, Interval, iqm, mean, probability_of_improvement, seed_ci
-from assistax.human.preference import BUDGET
-from assistax.policies.experts import BOUNDS
 from assistax.results.stored import Experiment, by_method, check_comparable, differences, flat, read_json, scales_return
-from assistax.tasks import task_class
+from assistax.tasks import stored_task, task_spec
 
 REFERENCES = Path("results/experts.json")  # what scripted policies reach, written by `tools/pages.py`
 SCALES = {  # of a return
@@ -45,7 +43,7 @@ def references_of(experiment: Experiment, records: Iterable[dict[str, Any]]) -> 
         names = ("disability", "preference", "people")
         return all(record["human"].get(name, "none") == settings.get(f"env.human.{name}", "none") for name in names)
 
-    return [record for record in records if record["task"] == experiment.task and same_person(record)]
+    return [r for r in records if stored_task(r["task"]) == experiment.task and same_person(r)]
 
 
 def expert_of(experiment: Experiment, records: Iterable[dict[str, Any]]) -> dict[str, Any] | None:
@@ -56,9 +54,10 @@ def expert_of(experiment: Experiment, records: Iterable[dict[str, Any]]) -> dict
 
 def bound_of(experiment: Experiment) -> float | None:
     """The paper's upper bound of the return, with preferences the combined one; None if the reward is another."""
-    if not _standard(experiment):
+    spec = task_spec(experiment.task)
+    if spec.bound is None or not _standard(experiment):
         return None
-    return BOUNDS[experiment.task] + experiment.preferring * EnvConfig.episode_length * BUDGET[experiment.task]
+    return spec.bound + experiment.preferring * EnvConfig.episode_length * spec.preference_budget
 
 
 def scale(experiment: Experiment, kind: str, records: Iterable[dict[str, Any]]) -> Interval | None:
@@ -84,7 +83,7 @@ def scales(found: Iterable[Experiment], kind: str, records) -> dict[Experiment, 
 
 def _standard(experiment: Experiment) -> bool:
     """Whether reward and length of an episode are those that bounds and references are of."""
-    usual = {"task_config": dataclasses.asdict(task_class(experiment.task).config_type())}
+    usual = {"task_config": dataclasses.asdict(task_spec(experiment.task).config)}
     usual["env"] = dataclasses.asdict(EnvConfig())
     usual = json.loads(json.dumps(dict(flat(usual))))  # tuples as JSON has them
     settings = experiment.runs[0].settings

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from assistax.errors import UsageError, choose
-from assistax.policies.experts import BOUNDS
+from assistax.tasks import TASKS, stored_task
 
 # Settings that say how something was computed or measured, not what was trained.
 _NOT_THE_EXPERIMENT = {"seed", "num_seeds", "engine", "evaluations"}
@@ -41,7 +41,7 @@ class StoredRun:
         config = read_json(folder / "config.json")
         if not isinstance(config, dict) or not {"task", "algorithm", "preset", "steps", "seed"} <= set(config):
             raise UsageError(f"{folder / 'config.json'} is not the configuration of a run.")
-        choose("task", config["task"], BOUNDS)
+        config["task"] = choose("task", stored_task(config["task"]), TASKS)
         return cls(folder, dict(flat(config)), config.pop("stamp", {}))
 
     @cached_property
@@ -196,7 +196,7 @@ def experiments(runs: Sequence[StoredRun]) -> list[Experiment]:
             _check_pooled(found[-1])
 
     def order(e: Experiment):
-        return list(BOUNDS).index(e.task), e.person != "none", e.person, dataclasses.astuple(e.method)
+        return list(TASKS).index(e.task), e.person != "none", e.person, dataclasses.astuple(e.method)
 
     return sorted(found, key=order)
 

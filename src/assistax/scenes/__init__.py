@@ -1,15 +1,16 @@
 """What stands where: the MJCF parts, the postures, the scene of every task, and rotations."""
 
 from assistax.scenes.build import (
+    BED_VIEW,
     HUMAN_JOINTS,
     HUMAN_TORQUE,
     LEFT_ARM,
+    MEAL_VIEW,
     NECK,
     POSTURES,
     RIGHT_ARM,
     ROBOT_JOINTS,
     ROBOT_TORQUE,
-    SCENES,
     Posture,
     SceneConfig,
     build,
@@ -18,15 +19,16 @@ from assistax.scenes.build import (
 )
 
 __all__ = [
+    "BED_VIEW",
     "HUMAN_JOINTS",
     "HUMAN_TORQUE",
     "LEFT_ARM",
+    "MEAL_VIEW",
     "NECK",
     "POSTURES",
     "RIGHT_ARM",
     "ROBOT_JOINTS",
     "ROBOT_TORQUE",
-    "SCENES",
     "Posture",
     "SceneConfig",
     "build",

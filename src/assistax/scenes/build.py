@@ -127,23 +127,6 @@ BED_VIEW: dict[str, Any] = {
     "camera": (0.95, -1.95, 1.65, -0.12, -0.3, 0.66),
     "close": (0.45, -1.15, 1.4, -0.22, -0.32, 0.78),
 }
-SCENES = {
-    "scratch": SceneConfig("wheelchair", "seated", "scratcher", (0.75, 0.0, 0.0), pi, RIGHT_ARM),
-    "bed_bath": SceneConfig("bed", "lying", "wiper", (-0.25, -0.9, 0.32), pi / 2, RIGHT_ARM, **BED_VIEW),
-    "arm_assist": SceneConfig(
-        "bed", "lying_arm_out", "hook", (0.15, -0.9, 0.32), pi / 2, RIGHT_ARM, human_strength=0.2,
-        targets=("wrist_target", "waist_target"),
-        camera=(-1.15, -1.75, 1.65, 0.0, -0.35, 0.68), close=(-0.75, -1.15, 1.35, 0.0, -0.38, 0.75),
-    ),
-    "feeding": SceneConfig(
-        "wheelchair", "seated", "spoon", (0.65, 0.3, 0.32), pi + 0.5, NECK,
-        ready=(0.0, -1.3, 0.0, -2.4, 0.0, 2.671, 0.785),  # the spoon level, its tip toward the person
-        **MEAL_VIEW,
-    ),
-    "tooth_brushing": SceneConfig(
-        "wheelchair", "seated", "toothbrush", (0.65, 0.3, 0.32), pi + 0.5, NECK, **MEAL_VIEW
-    ),
-}  # fmt: skip
 
 
 def build(config: SceneConfig, visuals: bool = True) -> mujoco.MjSpec:

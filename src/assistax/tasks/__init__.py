@@ -1,15 +1,22 @@
-"""The assistive tasks, one page each."""
+"""The assistive tasks, one page each, and the registry to which others may add theirs."""
 
-from assistax.errors import choose
 from assistax.tasks.arm_assist import ArmAssist
 from assistax.tasks.bed_bath import BedBath
 from assistax.tasks.feeding import Feeding
+from assistax.tasks.registry import TASKS, TaskSpec, is_task, register_task, stored_task, task_spec
 from assistax.tasks.scratch import Scratch
 from assistax.tasks.tooth_brushing import ToothBrushing
 
-TASKS = {task.name: task for task in (Scratch, BedBath, ArmAssist, Feeding, ToothBrushing)}
-
-
-def task_class(name: str):
-    """The class of the task called `name`, or a UsageError that lists them."""
-    return TASKS[choose("task", name, TASKS)]
+__all__ = [
+    "TASKS",
+    "ArmAssist",
+    "BedBath",
+    "Feeding",
+    "Scratch",
+    "TaskSpec",
+    "ToothBrushing",
+    "is_task",
+    "register_task",
+    "stored_task",
+    "task_spec",
+]

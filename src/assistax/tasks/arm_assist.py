@@ -5,6 +5,7 @@ forearm, as in the paper's figure; d_H is its distance to the waist target.
 """
 
 from dataclasses import dataclass
+from math import pi
 from typing import ClassVar
 
 import jax
@@ -12,8 +13,9 @@ import jax.numpy as jnp
 import mujoco
 
 from assistax.pytree import pytree
-from assistax.scenes import geometry
+from assistax.scenes import RIGHT_ARM, SceneConfig, geometry
 from assistax.tasks.base import Sensors
+from assistax.tasks.registry import TaskSpec, register_task
 from assistax.tasks.rewards import norm, reach, rotation, waist
 
 
@@ -32,7 +34,6 @@ class ArmAssistState:
 
 
 class ArmAssist:
-    name: ClassVar[str] = "arm_assist"
     title: ClassVar[str] = "Lift a person's weak right arm back to the waist"
     config_type = ArmAssistConfig
 
@@ -84,3 +85,27 @@ class ArmAssist:
 
     def markers(self, s: Sensors, state: ArmAssistState):
         return s["wrist_target_pos"]
+
+
+register_task(
+    TaskSpec(
+        "arm_assist",
+        0,
+        ArmAssist,
+        SceneConfig(
+            "bed",
+            "lying_arm_out",
+            "hook",
+            (0.15, -0.9, 0.32),
+            pi / 2,
+            RIGHT_ARM,
+            human_strength=0.2,
+            targets=("wrist_target", "waist_target"),
+            camera=(-1.15, -1.75, 1.65, 0.0, -0.35, 0.68),
+            close=(-0.75, -1.15, 1.35, 0.0, -0.38, 0.75),
+        ),
+        expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
+        bound=11280,
+        preference_budget=4.512,
+    )
+)

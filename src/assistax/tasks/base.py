@@ -15,7 +15,6 @@ TaskState = Any
 class Task(Protocol):
     """One assistive task: pure functions of the sensors and the task's own state."""
 
-    name: ClassVar[str]
     title: ClassVar[str]
     config_type: ClassVar[type]
     config: Any

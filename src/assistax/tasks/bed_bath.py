@@ -4,6 +4,7 @@ Paper: task "Bed Bath"; reward components r_t and r_w.
 """
 
 from dataclasses import dataclass
+from math import pi
 from typing import ClassVar
 
 import jax
@@ -12,8 +13,9 @@ import mujoco
 import numpy as np
 
 from assistax.pytree import pytree
-from assistax.scenes import geometry
+from assistax.scenes import BED_VIEW, RIGHT_ARM, SceneConfig, geometry
 from assistax.tasks.base import Sensors
+from assistax.tasks.registry import TaskSpec, register_task
 from assistax.tasks.rewards import norm, reach
 
 SEGMENTS = ("upper_arm", "forearm")
@@ -39,7 +41,6 @@ class BedBathState:
 
 
 class BedBath:
-    name: ClassVar[str] = "bed_bath"
     title: ClassVar[str] = "Wipe the right arm of a person in bed"
     config_type = BedBathConfig
 
@@ -113,3 +114,16 @@ class BedBath:
 
     def markers(self, s: Sensors, state: BedBathState):
         return s["tool_pos"] + self._to_target(s, state)
+
+
+register_task(
+    TaskSpec(
+        "bed_bath",
+        0,
+        BedBath,
+        SceneConfig("bed", "lying", "wiper", (-0.25, -0.9, 0.32), pi / 2, RIGHT_ARM, **BED_VIEW),
+        expert="assistax.policies.experts.bed_bath:BedBathExpert",
+        bound=1156,
+        preference_budget=1.156,
+    )
+)

@@ -5,6 +5,7 @@ frame, its tip is +z.
 """
 
 from dataclasses import dataclass
+from math import pi
 from typing import ClassVar
 
 import jax
@@ -12,8 +13,9 @@ import jax.numpy as jnp
 import mujoco
 
 from assistax.pytree import pytree
-from assistax.scenes import geometry
+from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry
 from assistax.tasks.base import Sensors
+from assistax.tasks.registry import TaskSpec, register_task
 from assistax.tasks.rewards import approach, boltzmann, envelope, norm, orientation
 
 
@@ -38,7 +40,6 @@ class FeedingState:
 
 
 class Feeding:
-    name: ClassVar[str] = "feeding"
     title: ClassVar[str] = "Feed a person with a spoon"
     config_type = FeedingConfig
 
@@ -91,3 +92,25 @@ class Feeding:
 
     def markers(self, s: Sensors, state: FeedingState):
         return s["mouth_pos"]
+
+
+register_task(
+    TaskSpec(
+        "feeding",
+        0,
+        Feeding,
+        SceneConfig(
+            "wheelchair",
+            "seated",
+            "spoon",
+            (0.65, 0.3, 0.32),
+            pi + 0.5,
+            NECK,
+            ready=(0.0, -1.3, 0.0, -2.4, 0.0, 2.671, 0.785),  # the spoon level, its tip toward the person
+            **MEAL_VIEW,
+        ),
+        expert="assistax.policies.experts.feeding:FeedingExpert",
+        bound=4700,
+        preference_budget=1.88,
+    )
+)

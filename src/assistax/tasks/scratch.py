@@ -4,6 +4,7 @@ Paper: task "Scratch"; reward components r_t and r_s.
 """
 
 from dataclasses import dataclass
+from math import pi
 from typing import ClassVar
 
 import jax
@@ -12,8 +13,9 @@ import mujoco
 import numpy as np
 
 from assistax.pytree import pytree
-from assistax.scenes import geometry
+from assistax.scenes import RIGHT_ARM, SceneConfig, geometry
 from assistax.tasks.base import Sensors
+from assistax.tasks.registry import TaskSpec, register_task
 from assistax.tasks.rewards import boltzmann, norm, reach
 
 SEGMENTS = ("upper_arm", "forearm")
@@ -43,7 +45,6 @@ class ScratchState:
 
 
 class Scratch:
-    name: ClassVar[str] = "scratch"
     title: ClassVar[str] = "Scratch an itch on the person's right arm"
     config_type = ScratchConfig
 
@@ -117,3 +118,16 @@ class Scratch:
 
     def markers(self, s: Sensors, state: ScratchState):
         return s["tool_pos"] + self._to_itch(s, state)
+
+
+register_task(
+    TaskSpec(
+        "scratch",
+        0,
+        Scratch,
+        SceneConfig("wheelchair", "seated", "scratcher", (0.75, 0.0, 0.0), pi, RIGHT_ARM),
+        expert="assistax.policies.experts.scratch:ScratchExpert",
+        bound=1000,
+        preference_budget=1.0,
+    )
+)

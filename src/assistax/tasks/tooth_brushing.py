@@ -5,6 +5,7 @@ tool frame, the handle along −z.
 """
 
 from dataclasses import dataclass
+from math import pi
 from typing import ClassVar
 
 import jax
@@ -12,8 +13,9 @@ import jax.numpy as jnp
 import mujoco
 
 from assistax.pytree import pytree
-from assistax.scenes import geometry
+from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry
 from assistax.tasks.base import Sensors
+from assistax.tasks.registry import TaskSpec, register_task
 from assistax.tasks.rewards import alignment, boltzmann, envelope, norm
 
 
@@ -35,7 +37,6 @@ class ToothBrushingState:
 
 
 class ToothBrushing:
-    name: ClassVar[str] = "tooth_brushing"
     title: ClassVar[str] = "Brush a person's teeth"
     config_type = ToothBrushingConfig
 
@@ -93,3 +94,16 @@ class ToothBrushing:
 
     def markers(self, s: Sensors, state: ToothBrushingState):
         return s["mouth_pos"]
+
+
+register_task(
+    TaskSpec(
+        "tooth_brushing",
+        0,
+        ToothBrushing,
+        SceneConfig("wheelchair", "seated", "toothbrush", (0.65, 0.3, 0.32), pi + 0.5, NECK, **MEAL_VIEW),
+        expert="assistax.policies.experts.tooth_brushing:ToothBrushingExpert",
+        bound=3140,
+        preference_budget=1.256,
+    )
+)

@@ -13,7 +13,7 @@ from assistax.physics import resolve_engine
 from assistax.policies import Player, Still
 from assistax.settings import with_settings
 from assistax.stamp import stamp
-from assistax.tasks import task_class
+from assistax.tasks import stored_task, task_spec
 from assistax.training.presets import num_envs, preset
 
 DEFAULT_STEPS = 5_000_000
@@ -78,7 +78,7 @@ class TrainConfig:
 
 def configure(task: str, settings: dict[str, Any], recurrent=False, share_parameters=False, **choices) -> TrainConfig:
     """A TrainConfig from a task's preset, then `choices` (fields), then `settings` ("ppo.gamma": 0.98)."""
-    cls = task_class(task)
+    spec = task_spec(task)
     given = {name: value for name, value in choices.items() if value is not None}
     algorithm = ALGORITHMS[given.get("algorithm", "ippo")]
     others = {other.group for other in ALGORITHMS.values()} - {algorithm.group}
@@ -94,15 +94,15 @@ def configure(task: str, settings: dict[str, Any], recurrent=False, share_parame
     row |= {switch: value for switch, value in switches.items() if switch in known}
     method = with_settings(algorithm.config_type(**algorithm.switches), row)
     fields: dict[str, Any] = {"num_envs": num_envs(name, algorithm.name), "method": method} | given
-    config = TrainConfig(task, task_config=cls.config_type(), **fields)
+    config = TrainConfig(spec.id, task_config=spec.config, **fields)
     resolve_engine(config.engine)
     return with_settings(config, settings)
 
 
 def stored_config(stored: Mapping[str, Any]) -> TrainConfig:
     """The TrainConfig of what `to_json` made; fields that it lacks have their defaults."""
-    task, algorithm = stored["task"], stored.get("algorithm", "ippo")
-    blank = TrainConfig(task, algorithm, task_config=task_class(task).config_type())
+    spec = task_spec(stored_task(stored["task"]))
+    blank = TrainConfig(spec.id, stored.get("algorithm", "ippo"), task_config=spec.config)
     return with_settings(blank, {k: v for k, v in stored.items() if k not in ("task", "stamp")})
 
 

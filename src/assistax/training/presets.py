@@ -130,8 +130,9 @@ def preset(name: str, algorithm: str, task: str, recurrent: bool = False) -> dic
         return {}
     if row not in rows:
         raise UsageError(f"The preset {name!r} has no settings for {algorithm}{' with a GRU' * recurrent}.")
-    if task not in rows[row] and name == "default":
+    bare = task.partition("-v")[0]  # versions of a task share its row
+    if bare not in rows[row] and name == "default":
         return dict(next(iter(rows[row].values())))
-    if task not in rows[row]:
-        raise UsageError(f"The preset {name!r} has no settings for {task!r}; it has {', '.join(rows[row])}.")
-    return dict(rows[row][task])
+    if bare not in rows[row]:
+        raise UsageError(f"The preset {name!r} has no settings for {bare!r}; it has {', '.join(rows[row])}.")
+    return dict(rows[row][bare])

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 
 from assistax.errors import UsageError
+from assistax.tasks import stored_task
 from assistax.training.checkpoint import load_checkpoint, read_metadata
 from assistax.training.configuration import TrainConfig, stored_config
 from assistax.training.seeds import Seeds
@@ -31,9 +32,10 @@ def newest_checkpoint(folder: Path) -> Path | None:
 def check_checkpoint(path: Path, config: TrainConfig) -> dict[str, Any]:
     """The metadata of a checkpoint, which must be of this task and algorithm."""
     about = read_metadata(path)
-    for name in ("task", "algorithm"):
-        if about.get(name) != getattr(config, name):
-            raise UsageError(f"{path} is of the {name} {about.get(name)}, not {getattr(config, name)}.")
+    there = {"task": stored_task(str(about.get("task"))), "algorithm": about.get("algorithm")}
+    for name, value in there.items():
+        if value != getattr(config, name):
+            raise UsageError(f"{path} is of the {name} {value}, not {getattr(config, name)}.")
     return about
 
 

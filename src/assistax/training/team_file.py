@@ -15,7 +15,7 @@ from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.policies import Player, Team
 from assistax.settings import with_settings
-from assistax.tasks import TASKS, task_class
+from assistax.tasks import TASKS, task_spec
 from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint
 from assistax.training.configuration import TrainConfig, stored_config, to_json, trained_env
 
@@ -24,11 +24,11 @@ TRAINED = Path(__file__).parents[1] / "trained"
 
 def trained_file(task: str) -> Path:
     """The team that comes with the package."""
-    task_class(task)
-    path = TRAINED / f"{task}.safetensors"
+    name = task_spec(task).id
+    path = TRAINED / f"{name}.safetensors"
     if not path.exists():
         there = [name for name in TASKS if (TRAINED / f"{name}.safetensors").exists()]
-        raise UsageError(f"No trained team comes with {task} yet; there is one for {', '.join(there) or 'none'}.")
+        raise UsageError(f"No trained team comes with {name} yet; there is one for {', '.join(there) or 'none'}.")
     return path
 
 

@@ -1,0 +1,41 @@
+"""Brush in small circles."""
+
+import jax.numpy as jnp
+
+from assistax.policies.experts.controller import LEVEL, Expert, Goal, circle
+from assistax.scenes import geometry
+from assistax.tasks.rewards import UP, norm
+
+
+class ToothBrushingExpert(Expert):
+    """Brush level and across the mouth, bristles on it, in small circles."""
+
+    radius = 0.016  # m, of the circles
+    stroke_speed = 0.045
+    force = 2.1
+    share = 0.7  # of the force felt that is pressed; the rest is the pull of the circles
+    bearing = 0.15  # rad, by which the bristles look past the mouth
+
+    def initial_carry(self):
+        return {"angle": jnp.float32(0.0), "there": jnp.bool_(False)}
+
+    def goal(self, carry, s, task, pos, rot, manner):
+        mouth, face = s["mouth_pos"], geometry.matrix(s["mouth_quat"])
+        ahead = geometry.unit(face[:, 0] * LEVEL)
+        left = jnp.cross(UP, ahead)
+        out = jnp.cos(self.bearing) * ahead + jnp.sin(self.bearing) * left  # keeps the hand off the shoulder
+        along = jnp.cross(UP, out)
+        turned = jnp.stack([out, jnp.cross(along, out), along], -1)
+        front = mouth + 0.03 * ahead
+        aligned = jnp.trace(rot.T @ turned) > 2.9
+        there = carry["there"] | (aligned & (norm(front - pos) < 0.02))
+        near = there & (norm(mouth - pos) < 0.04)
+        angle = carry["angle"] + near * manner.stroke_speed * self.env.dt / self.radius
+        offset, stroke = circle(angle, self.radius, manner.stroke_speed, left, UP)
+        return Goal(
+            jnp.where(there, mouth + near * offset, front),
+            turned,
+            drift=near * stroke,
+            press=jnp.where(there, -self.share * manner.force, 0.0) * ahead,
+            free=jnp.where(there, 1.0, 0.0) * ahead,
+        ), {"angle": angle, "there": there}
