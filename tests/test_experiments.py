@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from assistax.cli.reproducing import duration
+from assistax.cli.reproduce import duration
 from assistax.errors import UsageError
 from assistax.experiments import advance, choose_experiments, experiments, status
 

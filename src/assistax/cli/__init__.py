@@ -7,13 +7,20 @@ from typing import Any
 
 import tyro
 
-from assistax.cli.about import bench, doctor, humans, tasks
-from assistax.cli.crossing import crossplay
-from assistax.cli.playing import evaluate, export, play, render
-from assistax.cli.reproducing import reproduce
-from assistax.cli.results import plot, table
-from assistax.cli.sweeping import sweep
-from assistax.cli.training import train
+from assistax.cli.bench import bench
+from assistax.cli.crossplay import crossplay
+from assistax.cli.doctor import doctor
+from assistax.cli.evaluate import evaluate
+from assistax.cli.export import export
+from assistax.cli.humans import humans
+from assistax.cli.play import play
+from assistax.cli.plot import plot
+from assistax.cli.render import render
+from assistax.cli.reproduce import reproduce
+from assistax.cli.sweep import sweep
+from assistax.cli.table import table
+from assistax.cli.tasks import tasks
+from assistax.cli.train import train
 from assistax.errors import AssistaxError
 
 COMMANDS = (

@@ -11,6 +11,7 @@ from assistax.errors import UsageError
 
 Task = Annotated[str, tyro.conf.Positional]
 Target = Annotated[str, tyro.conf.Positional, arg(metavar="RUN|TASK")]
+Runs = Annotated[tuple[Path, ...], tyro.conf.Positional, arg(metavar="RUN ...")]
 Json = Annotated[bool, arg(name="json")]
 Set = Annotated[tuple[str, ...], arg(name="set", metavar="NAME=VALUE ...")]
 
@@ -28,11 +29,11 @@ def teams_of(target: str, policy: str | None, engine: str | None, assignments: t
     settings = parse_assignments(assignments)
     if policy == "trained":
         env, team = load_team(trained_file(target), settings, engine)
-        return env, [team], {"task": target, "policy": policy}
+        return env, [team], {"task": env.name, "policy": policy}
     if policy is not None:
         config = configure(target, settings, engine=engine)
         env = Env(target, config.engine, config.env, config.task_config)
-        return env, [scripted_team(policy, env)], {"task": target, "policy": policy}
+        return env, [scripted_team(policy, env)], {"task": env.name, "policy": policy}
     if is_task(target):
         raise UsageError(f"Say who plays {target}: --policy trained, still, random, expert, ..., or give a run folder.")
     path = Path(target)
@@ -67,3 +68,31 @@ def aligned(head: list[str], cells: list[list[str]]) -> str:
     widths = [max(map(len, column)) for column in zip(head, *cells, strict=True)]
     rows = (head, *cells)
     return "\n".join("  ".join(f"{x:{w}}" for x, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+
+
+def film_path(out: Path | None) -> Path | None:
+    """`out`, if a film can go there; asked before anything is played."""
+    from assistax.evaluation.film import check_format
+
+    if out is not None:
+        check_format(out)
+        if not out.parent.is_dir():
+            raise UsageError(f"The folder {out.parent} of --out does not exist.")
+    return out
+
+
+def film_episode(env, result, episode: int, path: Path | None, **camera) -> None:
+    """Film one episode of what a Player returned; without a path into TASK.mp4."""
+    from assistax.evaluation.film import film
+
+    path = path or Path(f"{env.name}.mp4")
+    on = result["playing"][episode]
+    film(env.name, result["qpos"][episode][on], result["marker"][episode][on], env.dt, path, **camera)
+    print(f"wrote {path}")
+
+
+def free_folder(name: str) -> Path:
+    folder, number = Path("runs") / name, 2
+    while folder.exists():
+        folder, number = Path("runs") / f"{name}-{number}", number + 1
+    return folder

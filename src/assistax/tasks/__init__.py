@@ -1,5 +1,6 @@
 """The assistive tasks, one page each, and the registry to which others may add theirs."""
 
+from assistax.tasks import arm_assist, bed_bath, feeding, scratch, tooth_brushing
 from assistax.tasks.arm_assist import ArmAssist
 from assistax.tasks.bed_bath import BedBath
 from assistax.tasks.feeding import Feeding
@@ -20,3 +21,7 @@ __all__ = [
     "stored_task",
     "task_spec",
 ]
+
+for _page in (scratch, bed_bath, arm_assist, feeding, tooth_brushing):
+    for _spec in _page.SPECS:
+        register_task(_spec)

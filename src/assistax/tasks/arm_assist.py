@@ -15,7 +15,7 @@ import mujoco
 from assistax.pytree import pytree
 from assistax.scenes import RIGHT_ARM, SceneConfig, geometry
 from assistax.tasks.base import Sensors
-from assistax.tasks.registry import TaskSpec, register_task
+from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import norm, reach, rotation, waist
 
 
@@ -87,7 +87,7 @@ class ArmAssist:
         return s["wrist_target_pos"]
 
 
-register_task(
+SPECS = (
     TaskSpec(
         "arm_assist",
         0,
@@ -107,5 +107,5 @@ register_task(
         expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
         bound=11280,
         preference_budget=4.512,
-    )
+    ),
 )

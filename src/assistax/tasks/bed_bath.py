@@ -15,7 +15,7 @@ import numpy as np
 from assistax.pytree import pytree
 from assistax.scenes import BED_VIEW, RIGHT_ARM, SceneConfig, geometry
 from assistax.tasks.base import Sensors
-from assistax.tasks.registry import TaskSpec, register_task
+from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import norm, reach
 
 SEGMENTS = ("upper_arm", "forearm")
@@ -116,7 +116,7 @@ class BedBath:
         return s["tool_pos"] + self._to_target(s, state)
 
 
-register_task(
+SPECS = (
     TaskSpec(
         "bed_bath",
         0,
@@ -125,5 +125,5 @@ register_task(
         expert="assistax.policies.experts.bed_bath:BedBathExpert",
         bound=1156,
         preference_budget=1.156,
-    )
+    ),
 )

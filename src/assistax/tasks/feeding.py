@@ -15,7 +15,7 @@ import mujoco
 from assistax.pytree import pytree
 from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry
 from assistax.tasks.base import Sensors
-from assistax.tasks.registry import TaskSpec, register_task
+from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import approach, boltzmann, envelope, norm, orientation
 
 
@@ -94,7 +94,7 @@ class Feeding:
         return s["mouth_pos"]
 
 
-register_task(
+SPECS = (
     TaskSpec(
         "feeding",
         0,
@@ -112,5 +112,5 @@ register_task(
         expert="assistax.policies.experts.feeding:FeedingExpert",
         bound=4700,
         preference_budget=1.88,
-    )
+    ),
 )

@@ -15,7 +15,7 @@ import numpy as np
 from assistax.pytree import pytree
 from assistax.scenes import RIGHT_ARM, SceneConfig, geometry
 from assistax.tasks.base import Sensors
-from assistax.tasks.registry import TaskSpec, register_task
+from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import boltzmann, norm, reach
 
 SEGMENTS = ("upper_arm", "forearm")
@@ -120,7 +120,7 @@ class Scratch:
         return s["tool_pos"] + self._to_itch(s, state)
 
 
-register_task(
+SPECS = (
     TaskSpec(
         "scratch",
         0,
@@ -129,5 +129,5 @@ register_task(
         expert="assistax.policies.experts.scratch:ScratchExpert",
         bound=1000,
         preference_budget=1.0,
-    )
+    ),
 )

@@ -15,7 +15,7 @@ import mujoco
 from assistax.pytree import pytree
 from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry
 from assistax.tasks.base import Sensors
-from assistax.tasks.registry import TaskSpec, register_task
+from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import alignment, boltzmann, envelope, norm
 
 
@@ -96,7 +96,7 @@ class ToothBrushing:
         return s["mouth_pos"]
 
 
-register_task(
+SPECS = (
     TaskSpec(
         "tooth_brushing",
         0,
@@ -105,5 +105,5 @@ register_task(
         expert="assistax.policies.experts.tooth_brushing:ToothBrushingExpert",
         bound=3140,
         preference_budget=1.256,
-    )
+    ),
 )

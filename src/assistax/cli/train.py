@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from assistax.cli.common import Set
+from assistax.cli.common import Set, free_folder
 from assistax.errors import UsageError
 
 
@@ -91,10 +91,3 @@ def train(
         f"{run.config.evaluation_episodes} episodes, {summary['env_steps_per_s']} env steps/s. "
         f"See {run.folder}/learning_curve.png and rollout.mp4."
     )
-
-
-def free_folder(name: str) -> Path:
-    folder, number = Path("runs") / name, 2
-    while folder.exists():
-        folder, number = Path("runs") / f"{name}-{number}", number + 1
-    return folder

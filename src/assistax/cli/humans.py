@@ -1,34 +1,6 @@
-"""`assistax tasks`, `humans`, `doctor` and `bench`."""
+"""`assistax humans`."""
 
-import sys
-
-from assistax.cli.common import Json, Task, print_json, print_table
-
-
-def tasks(*, json: Json = False) -> None:
-    """List the tasks.
-
-    Args:
-      json: print JSON, with the sizes of observations and actions.
-    """
-    from assistax.env import make
-    from assistax.tasks import TASKS
-
-    if not json:
-        for name, task in TASKS.items():
-            print(f"{name:16} {task.title}")
-        return
-    listing = {}
-    for name, task in TASKS.items():
-        env = make(name, engine="mujoco")
-        listing[name] = {
-            "title": task.title,
-            "observations": env.observation_sizes | {"global": env.global_size},
-            "actions": env.action_sizes,
-            "episode_length": env.config.episode_length,
-            "control_period_s": env.dt,
-        }
-    print_json(listing)
+from assistax.cli.common import Json, print_json
 
 
 def humans(*, people: str | None = None, seed: int = 0, json: Json = False) -> None:
@@ -75,49 +47,3 @@ def humans(*, people: str | None = None, seed: int = 0, json: Json = False) -> N
     for name, parts in DISABILITIES.items():
         print(f"{name:34} {' '.join(f'{part}={value:g}' for part, value in parts.items())}")
     print(f"\nperson {seed} {words}")
-
-
-def doctor(*, json: Json = False) -> None:
-    """Say what is installed, which engine is used and why; step and render for two seconds.
-
-    Args:
-      json: print JSON.
-    """
-    from assistax.diagnostics.doctor import diagnose
-
-    report = diagnose()
-    if json:
-        print_json(report)
-    else:
-        print_table(report)
-    if "FAILED" in report["self_test"] + report["rendering"]:
-        sys.exit(1)
-
-
-def bench(
-    task: Task,
-    *,
-    engine: str = "auto",
-    num_envs: int = 1024,
-    seconds: float = 10.0,
-    train: bool = False,
-    json: Json = False,
-) -> None:
-    """Measure speed on this machine: the environment beside its bare physics engine.
-
-    Args:
-      task: `assistax tasks` lists them.
-      engine: auto, mujoco, warp or mjx.
-      num_envs: environments side by side.
-      seconds: how long to measure, after compilation.
-      train: also time IPPO training with the paper's preset.
-      json: print JSON.
-    """
-    from assistax.diagnostics.bench import bench, bench_training
-    from assistax.env import make
-
-    env = make(task, engine)
-    report = bench(env, num_envs, seconds)
-    if train:
-        report |= bench_training(env, num_envs, seconds)
-    print_json(report) if json else print_table(report)

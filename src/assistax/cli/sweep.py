@@ -6,8 +6,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from assistax.cli.common import Set
-from assistax.cli.training import free_folder
+from assistax.cli.common import Set, free_folder
 from assistax.errors import UsageError
 
 Search = Annotated[tuple[str, ...], tyro.conf.arg(name="search", metavar="NAME=LOW:HIGH|A,B ...")]

@@ -1,48 +1,10 @@
-"""`assistax table` and `plot`."""
+"""`assistax plot`."""
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-import tyro
-
-from assistax.cli.common import Json, aligned, print_json
-from assistax.errors import UsageError
-
-Runs = Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN ...")]
-
-
-def table(runs: Runs = (), *, compare: bool = False, markdown: bool = False, json: Json = False) -> None:
-    """Tabulate what finished runs have come to, with 95 % intervals over their seeds.
-
-    Runs that differ in nothing but seeds are one row. Below it, for each algorithm with several tasks, the
-    interquartile mean of normalised returns: by the paper's bound, by the expert's return, and between the worst and
-    the best scripted policy (results/experts.json).
-
-    For example:
-      assistax table
-      assistax table runs/scratch-ippo-0 runs/scratch-mappo-0 --compare
-      assistax table results --json > results/table.json
-
-    Args:
-      runs: run folders, or folders of finished ones (default: results and runs).
-      compare: also how probable it is that one algorithm beats another.
-      markdown: print Markdown.
-      json: print JSON, with seeds, commits, versions and hardware.
-    """
-    from assistax.results.comparison import markdown as as_markdown
-    from assistax.results.comparison import read_references, report, tables
-    from assistax.results.stored import experiments, find_runs
-
-    if json and markdown:
-        raise UsageError("Choose one of --json and --markdown.")
-    said = report(experiments(find_runs(runs)), read_references(), compare)
-    if json:
-        print_json(said)
-        return
-    print("\n\n".join((as_markdown if markdown else aligned)(*each) for each in tables(said)))
-    for remark in said["remarks"]:
-        print(f"\n{remark}")
+from assistax.cli.common import Runs
 
 
 def plot(

@@ -1,0 +1,44 @@
+"""`assistax evaluate`."""
+
+from assistax.cli.common import Json, Set, Target, print_json, print_table, teams_of
+
+
+def evaluate(
+    target: Target,
+    *,
+    policy: str | None = None,
+    episodes: int = 64,
+    engine: str | None = None,
+    seed: int | None = None,
+    set: Set = (),
+    json: Json = False,
+) -> None:
+    """Play whole episodes on fixed seeds; print means with 95 % confidence intervals.
+
+    For example:
+      assistax evaluate runs/scratch-ippo-0
+      assistax evaluate scratch --policy expert
+      assistax evaluate scratch --policy random --json
+      assistax evaluate runs/scratch-ippo-0 --set env.human.disability=weakness
+
+    Args:
+      target: a run folder, a team file, or a task together with --policy.
+      policy: with a task, who plays: trained (the team that comes with it), still, random, expert or considerate
+        (the robot; the human is then still, or comes toward the tool: offer, or away from it: withdraw).
+      episodes: how many (intervals are over them).
+      engine: auto, mujoco, warp or mjx (default: as the run, else auto).
+      seed: of the evaluation's draws; fixed unless given.
+      set: change any setting of the run or task. Who the person is, see `assistax humans --help`:
+        env.human.disability, .preference, .people, .visibility.
+      json: print JSON instead of a table.
+    """
+    from assistax.evaluation.playing import EVALUATION_SEED, play, summarize
+
+    env, teams, about = teams_of(target, policy, engine, set)
+    start = EVALUATION_SEED if seed is None else seed
+    results = [summarize(play(env, team, episodes, start)) for team in teams]
+    if json:
+        print_json({**about, **results[0]} if len(results) == 1 else {**about, "seeds": results})
+        return
+    for result in results:
+        print_table({**about, **result})

@@ -1,0 +1,29 @@
+"""`assistax export`."""
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from assistax.errors import UsageError
+
+
+def export(run: Annotated[Path, tyro.conf.Positional], *, out: Path, seed: int | None = None) -> None:
+    """Write the trained team of a run into one small file, which plays without the run folder.
+
+    Args:
+      run: a run folder.
+      out: NAME.safetensors.
+      seed: which of the run's seeds (default the first).
+    """
+    from assistax.training.run import Run
+    from assistax.training.team_file import save_team
+
+    found = Run.open(run)
+    seeds = list(found.seeds.seeds)
+    if seed is not None and seed not in seeds:
+        raise UsageError(f"{run} has no seed {seed}; it has {', '.join(map(str, seeds))}.")
+    seed = seeds[0] if seed is None else seed
+    save_team(out, found.teams()[seeds.index(seed)], dataclasses.replace(found.config, seed=seed))
+    print(f"wrote {out}")

@@ -1,0 +1,45 @@
+"""`assistax render`."""
+
+from pathlib import Path
+
+from assistax.cli.common import Set, Target, film_episode, film_path, teams_of
+
+
+def render(
+    target: Target,
+    *,
+    out: Path | None = None,
+    policy: str | None = None,
+    engine: str | None = None,
+    seed: int | None = None,
+    set: Set = (),
+    width: int = 640,
+    height: int = 480,
+    view: str = "main",
+) -> None:
+    """Film one episode.
+
+    For example:
+      assistax render runs/scratch-ippo-0
+      assistax render scratch --policy still --out scratch.png --width 1280 --height 960
+
+    Args:
+      target: a run folder, a team file, or a task together with --policy.
+      out: an .mp4, a .webp, or a .png of the last moment (default TASK.mp4).
+      policy: with a task, who plays: trained (the team that comes with it), still, random, expert or considerate
+        (the robot; the human is then still, or comes toward the tool: offer, or away from it: withdraw).
+      engine: auto, mujoco, warp or mjx (default: as the run, else auto).
+      seed: of the episode's draws; fixed unless given.
+      set: change any setting of the run or task, as in `assistax evaluate`.
+      width: of the picture in pixels.
+      height: of the picture in pixels.
+      view: camera: main or close.
+    """
+    from assistax.errors import choose
+    from assistax.evaluation.playing import EVALUATION_SEED, play
+
+    choose("view", view, ["main", "close"])
+    path = film_path(out)
+    env, teams, _ = teams_of(target, policy, engine, set)
+    result = play(env, teams[0], 1, EVALUATION_SEED if seed is None else seed)
+    film_episode(env, result, 0, path, width=width, height=height, view=view)
