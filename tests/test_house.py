@@ -13,6 +13,7 @@ ROOT = Path(assistax.__file__).parent
 FLOORS = (
     ("errors",),
     ("pytree", "files", "stamp", "registry", "settings", "spaces"),
+    ("formats",),
     ("scenes",),
     ("physics",),
     ("human",),

@@ -139,7 +139,7 @@ def test_a_team_file_plays_as_its_run(evaluated, tmp_path):
 
 def test_a_partner_comes_from_a_run(evaluated, tmp_path):
     run, _ = evaluated
-    partner = find_partner(str(run.folder), run.env, "human")
+    partner = find_partner(str(run.folder), run.env, "human").player
     assert partner.members == 2 and not partner.policy.deterministic  # acts as it was trained
     new = Run.create(small(partners=(f"human={run.folder}",), steps=64), tmp_path / "new")
     assert new.train() and new.trainer.learners == ("robot",)

@@ -251,8 +251,8 @@ def begun(tmp_path):
         (lambda rows: rows[1].update(steps=7), "Line 2 of .* is of another sweep"),
         (lambda rows: rows[1].update(seed=5), "Line 2 of .* is of another sweep"),
         (lambda rows: rows[1].update(config=2), "Line 2 of .* is of another sweep"),
-        (lambda rows: rows.insert(0, 5), "Line 1 of .* is of another sweep"),
-        (lambda rows: rows.insert(1, "{torn"), "Line 2 of .* is damaged"),
+        (lambda rows: rows.insert(0, 5), "line 1 of 3 in .*: it must be an object"),
+        (lambda rows: rows.insert(1, "{torn"), "line 2 of 3 in .*: it is not JSON"),
     ],
 )
 def test_lines_that_do_not_belong_are_refused_and_kept(begun, change, words):
@@ -274,8 +274,8 @@ def test_lines_that_do_not_belong_are_refused_and_kept(begun, change, words):
             "begun with assistax 0.0.9, now",
         ),
         (lambda stored: stored["config"]["stamp"].update(commit="elsewhere"), "begun with commit elsewhere, now"),
-        (lambda stored: stored.pop("drawn"), "sweep.json is damaged"),
-        (lambda stored: stored["config"].pop("stamp"), "sweep.json is damaged"),
+        (lambda stored: stored.pop("drawn"), "sweep.json: it has no drawn"),
+        (lambda stored: stored["config"].pop("stamp"), "sweep.json: config has no stamp"),
     ],
 )
 def test_a_sweep_of_other_versions_or_a_damaged_one_is_refused(begun, change, words):
@@ -289,7 +289,7 @@ def test_a_sweep_of_other_versions_or_a_damaged_one_is_refused(begun, change, wo
 
 def test_folders_that_are_not_a_sweep_or_in_use_are_refused(begun, tmp_path):
     (begun.folder / "sweep.json").write_text("{")
-    with pytest.raises(UsageError, match="is damaged"):
+    with pytest.raises(UsageError, match="not JSON"):
         Sweep.open(begun.folder)
     with pytest.raises(UsageError, match="not a sweep folder"):
         Sweep.open(tmp_path)

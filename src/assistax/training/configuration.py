@@ -30,6 +30,7 @@ class TrainConfig:
     seed: int = 0
     num_seeds: int = 1
     partners: tuple[str, ...] = ()  # "human=still": frozen partners, see partners.py
+    partner_copies: tuple[str, ...] = ()  # "human=SHA-256": trained partners that the run folder holds a copy of
     evaluations: int = 10  # evenly over the training; the last is at its end and always made
     evaluation_episodes: int = 64
     deterministic: bool = True  # evaluate the mean action, not a sample
@@ -99,11 +100,17 @@ def configure(task: str, settings: dict[str, Any], recurrent=False, share_parame
     return with_settings(config, settings)
 
 
-def stored_config(stored: Mapping[str, Any]) -> TrainConfig:
-    """The TrainConfig of what `to_json` made; fields that it lacks have their defaults."""
-    spec = task_spec(stored_task(stored["task"]))
-    blank = TrainConfig(spec.id, stored.get("algorithm", "ippo"), task_config=spec.config)
-    return with_settings(blank, {k: v for k, v in stored.items() if k not in ("task", "stamp")})
+def stored_config(stored: Mapping[str, Any], source: str) -> TrainConfig:
+    """The TrainConfig of what `to_json` made; fields that it lacks have their defaults.
+
+    `source` is what an error calls it.
+    """
+    try:
+        spec = task_spec(stored_task(stored["task"]))
+        blank = TrainConfig(spec.id, stored.get("algorithm", "ippo"), task_config=spec.config)
+        return with_settings(blank, {k: v for k, v in stored.items() if k not in ("task", "stamp")})
+    except UsageError as error:
+        raise UsageError(f"Cannot read {source}: {error}") from None
 
 
 def trained_env(config: TrainConfig) -> tuple[Env, Any]:

@@ -1,54 +1,147 @@
-"""The frozen partners, who do not learn: a scripted policy, or one that was trained before and is frozen."""
+"""The frozen partners, who do not learn: scripted policies, or policies that were trained before.
 
+A run keeps its own copy of a trained partner, partners/AGENT.safetensors, whose hash stands in its configuration:
+whatever becomes of the folder or file that the partner came from, the run goes on as it began.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import jax
 
 from assistax.env import Env
 from assistax.errors import UsageError, choose
+from assistax.files import writing
+from assistax.formats import PARTNER
+from assistax.learning.trainer import Trainer
 from assistax.policies import Player, scripted_policy
-from assistax.training.configuration import TrainConfig, trained_env
+from assistax.training.checkpoint import EVERYTHING, content_hash, load_checkpoint, read_metadata, save_checkpoint
+from assistax.training.configuration import TrainConfig, stored_config, to_json, trained_env
 from assistax.training.run_folder import learned, read_config
-from assistax.training.team_file import load_team, trained_file
+from assistax.training.team_file import params_like, read_team, trained_file
 
 
-def find_partners(config: TrainConfig, env: Env) -> dict[str, Player]:
-    """By agent, the frozen partner."""
-    partners = {}
+@dataclass(frozen=True)
+class Partner:
+    """A frozen partner and, if it was trained, all that a copy of it must say."""
+
+    player: Player
+    deterministic: bool = False  # whether it acts without noise
+    trained: dict[str, Any] | None = None  # the configuration of its training, as JSON
+
+
+def find_partners(config: TrainConfig, env: Env, folder: Path) -> dict[str, Partner]:
+    """By agent, for the run in `folder`: from its copies if it has them."""
+    copies = dict(_pair(text) for text in config.partner_copies)
+    partners: dict[str, Partner] = {}
     for text in config.partners:
-        agent, equals, name = text.partition("=")
-        if not equals:
-            raise UsageError(f"A partner is AGENT=WHO, for example human=still, not {text!r}.")
+        agent, name = _pair(text)
         choose("agent", agent, env.agents)
-        partners[agent] = find_partner(name, env, agent)
+        if agent in copies:
+            partners[agent] = _of_copy(folder, copies[agent], env, agent)
+        else:
+            partners[agent] = find_partner(name, env, agent)
     return partners
 
 
-def find_partner(name: str, env: Env, agent: str) -> Player:
+def keep_partners(partners: Mapping[str, Partner], folder: Path) -> tuple[str, ...]:
+    """Write copies of trained partners into a run's folder; returns the run's `TrainConfig.partner_copies`."""
+    copies = []
+    for agent, partner in partners.items():
+        if partner.trained is not None:
+            path, player = _path(folder, agent), partner.player
+            with writing(path):
+                path.parent.mkdir(exist_ok=True)
+            about = {"partner": partner.trained, "members": player.members, "deterministic": partner.deterministic}
+            copies.append(f"{agent}={save_checkpoint(path, {agent: player.params}, about)}")
+    return tuple(copies)
+
+
+def find_partner(name: str, env: Env, agent: str) -> Partner:
     """A frozen partner.
 
     Args:
-      name: a scripted policy (see `policies.scripted_policy`), a team file of the same task, "trained" for the one in
-        the package, or a run folder of the same task: its policies for that agent, as they acted in training; every
+      name: a scripted policy (see `policies.scripted_policy`); "trained", the team in the package; a team file of the
+        same task; or a run folder of the same task: its policies for that agent, as they acted in training; every
         episode draws one of its seeds.
       env: where.
       agent: whom it plays.
+
+    Raises:
+      UsageError: there is nobody of that name, or of another task, or who observes or does something else.
     """
-    if name == "trained" or name.endswith(".safetensors"):
-        return load_team(trained_file(env.name) if name == "trained" else Path(name))[1][agent]
+    if name == "trained":
+        return _of_team(trained_file(env.name), env, agent)
+    if name.endswith(".safetensors"):
+        return _of_team(Path(name), env, agent)
     if Path(name).is_dir():
         return _of_run(Path(name), env, agent)
     try:
-        return Player(scripted_policy(name, env, agent))
+        return Partner(Player(scripted_policy(name, env, agent)))
     except UsageError as error:
-        raise UsageError(f"{error} Or name a run folder.") from None
+        raise UsageError(f"{error} Or name a run folder or a team file.") from None
 
 
-def _of_run(folder: Path, env: Env, agent: str) -> Player:
+def _of_team(path: Path, env: Env, agent: str) -> Partner:
+    config = read_team(path)
+    trainer = _trainer(config, path, env, agent)
+    params = load_checkpoint(path, params_like(trainer)[agent], f"['{agent}']", finite=EVERYTHING)
+    return _trained(trainer, [params], config.deterministic, to_json(config))
+
+
+def _of_run(folder: Path, env: Env, agent: str) -> Partner:
     config = read_config(folder)
-    there, trainer = trained_env(config)
-    if there.name != env.name or there.observation_sizes[agent] != env.observation_sizes[agent]:
-        raise UsageError(f"{folder} cannot play the {agent} here: its task or what it observes is another.")
-    if agent not in trainer.learners:
-        who = dict(text.split("=", 1) for text in config.partners)[agent]
-        raise UsageError(f"The {agent} of {folder} did not learn; name who played it: {agent}={who}.")
+    trainer = _trainer(config, folder, env, agent)
     params = [one[agent] for one in learned(folder, config, trainer)]
-    return Player.of(trainer.policy(deterministic=False), *params)
+    return _trained(trainer, params, False, to_json(config))
+
+
+def _of_copy(folder: Path, expected: str, env: Env, agent: str) -> Partner:
+    path = _path(folder, agent)
+    about = read_metadata(path, PARTNER)
+    if content_hash(path) != expected:
+        raise UsageError(f"{path} is not the partner that this run was begun with; restore it from a copy.")
+    config = stored_config(about["partner"], f"the metadata of {path}")
+    trainer = _trainer(config, path, env, agent)
+    members, one = about["members"], params_like(trainer)[agent]
+    like = jax.tree.map(lambda x: jax.ShapeDtypeStruct((members, *x.shape), x.dtype), one)
+    params = load_checkpoint(path, like, f"['{agent}']", finite=EVERYTHING)
+    deterministic = about["deterministic"]
+    return Partner(Player(trainer.policy(deterministic), params, members), deterministic, about["partner"])
+
+
+def _trained(trainer: Trainer, params: list[Any], deterministic: bool, trained: dict[str, Any]) -> Partner:
+    return Partner(Player.of(trainer.policy(deterministic), *params), deterministic, trained)
+
+
+def _trainer(config: TrainConfig, place: Path, env: Env, agent: str) -> Trainer:
+    """The trainer of what lies at `place`, which must be able to play the agent."""
+    if config.task != env.name:
+        raise UsageError(f"{place} was trained for {config.task} and cannot play the {agent} in {env.name}.")
+    there, trainer = trained_env(config)
+    if agent not in trainer.learners:
+        who = dict(_pair(text) for text in config.partners)[agent]
+        raise UsageError(f"The {agent} of {place} did not learn; name who played it: {agent}={who}.")
+    for verb, ours, theirs in (
+        ("observes", env.observation_sizes, there.observation_sizes),
+        ("acts with", env.action_sizes, there.action_sizes),
+    ):
+        if ours[agent] != theirs[agent]:
+            raise UsageError(
+                f"The {agent} of {place} {verb} {theirs[agent]} numbers, but the {agent} here {ours[agent]}: "
+                "its settings (preferences, for example) were others."
+            )
+    return trainer
+
+
+def _path(folder: Path, agent: str) -> Path:
+    return folder / "partners" / f"{agent}.safetensors"
+
+
+def _pair(text: str) -> tuple[str, str]:
+    agent, equals, name = text.partition("=")
+    if not equals:
+        raise UsageError(f"A partner is AGENT=WHO, for example human=still, not {text!r}.")
+    return agent, name

@@ -4,6 +4,7 @@ config.json           what was asked for
 metrics.jsonl         one line per iteration and seed
 evaluations.jsonl     one line per evaluation and seed: what each of its episodes came to
 checkpoints/          the newest two, each written whole or not at all
+partners/             who was trained before and plays beside the learner, see partners.py
 learning_curve.png    summary.json    rollout.mp4
 """
 
@@ -24,17 +25,18 @@ from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.evaluation.film import film
 from assistax.evaluation.playing import Evaluator, by_episode, summarize, typical
-from assistax.files import write_atomically
+from assistax.files import read_json, read_rows, write_atomically, write_json
+from assistax.formats import CONFIG, ROWS
 from assistax.physics import check_faults
-from assistax.policies import Player, Team
+from assistax.policies import Team
+from assistax.policies.player import Player
 from assistax.results.figures import learning_curve
-from assistax.results.stored import read_rows
 from assistax.settings import with_settings
 from assistax.stamp import peak_memory_mb, stamp
 from assistax.training.checkpoint import load_checkpoint, save_checkpoint
 from assistax.training.clock import Clock, Stop, progress_bar
 from assistax.training.configuration import TrainConfig, to_json
-from assistax.training.partners import find_partners
+from assistax.training.partners import find_partners, keep_partners
 from assistax.training.run_folder import check_checkpoint, learned, newest_checkpoint, read_config
 from assistax.training.seeds import Seeds
 
@@ -48,8 +50,9 @@ class Run:
         self.folder, self.config = folder, config
         self.env = Env(config.task, config.engine, config.env, config.task_config)
         self.iterations = config.iterations
-        self.partners = find_partners(config, self.env)
-        self.trainer = config.trainer(self.env, self.partners)
+        self.partners = find_partners(config, self.env, folder)
+        self._frozen = {agent: partner.player for agent, partner in self.partners.items()}
+        self.trainer = config.trainer(self.env, self._frozen)
         self.steps_per_iteration = self.trainer.steps_per_iteration
         points = range(1, config.evaluations)
         self.evaluate_at = {i * self.iterations // config.evaluations for i in points} - {0}  # iterations done
@@ -60,22 +63,23 @@ class Run:
         """Make the folder; it must be new or empty."""
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise UsageError(f"{folder} is already in use; name another --out, or continue it with --resume {folder}.")
-        run = cls(folder, config)
+        run = cls(folder, dataclasses.replace(config, partner_copies=()))
         try:
             (folder / "checkpoints").mkdir(parents=True)
         except OSError as error:
             raise UsageError(f"Cannot write to {folder}: {error.strerror}.") from None
+        run.config = dataclasses.replace(config, partner_copies=keep_partners(run.partners, folder))
         run._write_config()
         return run
 
     def _write_config(self) -> None:
         """Anew if it has changed, as when --steps prolongs a run; the stamp stays that of the beginning."""
         path = self.folder / "config.json"
-        before = json.loads(path.read_text()) if path.exists() else {}
+        before = read_json(path, CONFIG) if path.exists() else {}
         content = json.loads(json.dumps(to_json(self.config)))
         if before | {"stamp": None} != content | {"stamp": None}:
             content["stamp"] = before.get("stamp", content["stamp"])
-            write_atomically(path, json.dumps(content, indent=2).encode())
+            write_json(path, content)
 
     @classmethod
     def open(cls, folder: Path, settings: Mapping[str, Any] | None = None, **changes) -> "Run":
@@ -175,7 +179,7 @@ class Run:
 
     def rows(self, name: str) -> list[dict]:
         """The rows of "metrics" or "evaluations" that are whole."""
-        return read_rows(self.folder / f"{name}.jsonl")
+        return read_rows(self.folder / f"{name}.jsonl", ROWS[name])
 
     # -- afterwards ----------------------------------------------------------------------------
 
@@ -204,7 +208,7 @@ class Run:
             "evaluation": each,
             **stamp(),
         }
-        write_atomically(self.folder / "summary.json", json.dumps(summary, indent=2).encode())
+        write_json(self.folder / "summary.json", summary)
         rows = self.rows("metrics")
         title = f"{config.task}, {config.algorithm} ({config.preset} preset), {steps / 1e6:.1f} M steps"
         learning_curve(rows, title, self.folder / "learning_curve.png")
@@ -250,7 +254,7 @@ class Run:
     def _team(self, learned: dict[str, Any], deterministic: bool | None) -> Team:
         """Learners deterministically or not, unless told as in the configuration, beside the frozen partners."""
         policy = self.trainer.policy(self.config.deterministic if deterministic is None else deterministic)
-        return {agent: Player.of(policy, params) for agent, params in learned.items()} | self.partners
+        return {agent: Player.of(policy, params) for agent, params in learned.items()} | self._frozen
 
     def teams(self, deterministic: bool | None = None) -> list[Team]:
         """The policies of each seed, from the newest checkpoint."""

@@ -1,13 +1,14 @@
 """What was trained, read from a run folder: its configuration, and the policies in its newest checkpoint."""
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
 import jax
 
 from assistax.errors import UsageError
+from assistax.files import read_json
+from assistax.formats import CHECKPOINT, CONFIG
 from assistax.tasks import stored_task
 from assistax.training.checkpoint import load_checkpoint, read_metadata
 from assistax.training.configuration import TrainConfig, stored_config
@@ -19,10 +20,7 @@ def read_config(folder: Path) -> TrainConfig:
     path = folder / "config.json"
     if not path.exists():
         raise UsageError(f"{folder} is not a run folder: it has no config.json.")
-    try:
-        return stored_config(json.loads(path.read_text()))
-    except (json.JSONDecodeError, KeyError, TypeError):
-        raise UsageError(f"{path} is damaged; restore it or start a new run.") from None
+    return stored_config(read_json(path, CONFIG), str(path))
 
 
 def newest_checkpoint(folder: Path) -> Path | None:
@@ -31,8 +29,8 @@ def newest_checkpoint(folder: Path) -> Path | None:
 
 def check_checkpoint(path: Path, config: TrainConfig) -> dict[str, Any]:
     """The metadata of a checkpoint, which must be of this task and algorithm."""
-    about = read_metadata(path)
-    there = {"task": stored_task(str(about.get("task"))), "algorithm": about.get("algorithm")}
+    about = read_metadata(path, CHECKPOINT)
+    there = {"task": stored_task(about["task"]), "algorithm": about["algorithm"]}
     for name, value in there.items():
         if value != getattr(config, name):
             raise UsageError(f"{path} is of the {name} {value}, not {getattr(config, name)}.")

@@ -12,6 +12,7 @@ counts, whether its episode has ended or not. The area is the mean of the points
 failed and has no area.
 """
 
+import dataclasses
 import io
 import itertools
 import json
@@ -30,7 +31,8 @@ from tqdm import tqdm
 
 from assistax.errors import UsageError
 from assistax.evaluation.statistics import seed_ci
-from assistax.files import write_atomically
+from assistax.files import read_json, read_rows, write_atomically, write_json
+from assistax.formats import SWEEP, TRIAL, UNFINISHED
 from assistax.learning.tuned import tunable
 from assistax.physics import check_faults
 from assistax.physics.engine import UNSTABLE
@@ -39,6 +41,7 @@ from assistax.stamp import stamp
 from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint
 from assistax.training.clock import Clock, Stop, progress_bar
 from assistax.training.configuration import TrainConfig, stored_config, to_json
+from assistax.training.partners import keep_partners
 from assistax.training.run import CHECKPOINT_SECONDS, Run
 from assistax.training.search import Search, draw, intervals
 from assistax.training.seeds import Lanes
@@ -85,38 +88,26 @@ class Sweep:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise UsageError(f"Cannot write to {folder}: {error.strerror}.") from None
-        content = {"config": to_json(config), "search": sweep.search, "drawn": sweep.drawn}
-        write_atomically(folder / "sweep.json", json.dumps(content, indent=2).encode())
+        copies = keep_partners(sweep._runs[0].partners, folder)
+        sweep.config = config = dataclasses.replace(config, partner_copies=copies)
+        write_json(folder / "sweep.json", {"config": to_json(config), "search": sweep.search, "drawn": sweep.drawn})
         return sweep
 
     @classmethod
     def open(cls, folder: Path) -> "Sweep":
         """Read a sweep folder; it must have been begun with the versions that are installed now."""
-        path, now = folder / "sweep.json", stamp()
-        if not path.exists():
-            raise UsageError(f"{folder} is not a sweep folder: it has no sweep.json.")
-        try:
-            stored = json.loads(path.read_text())
-            begun = stored["config"]["stamp"]
-            there, here = (one["versions"] | {"commit": one["commit"]} for one in (begun, now))
-            if differ := [name for name in there | here if there.get(name) != here.get(name)]:
-                words = ", ".join(f"{name} {there.get(name)}, now {here.get(name)}" for name in differ)
-                raise UsageError(f"{folder} was begun with {words}. Go back to that, or start a new sweep.")
-            return cls(folder, stored_config(stored["config"]), stored["search"], stored["drawn"])
-        except (json.JSONDecodeError, KeyError, TypeError, AttributeError):
-            raise UsageError(f"{path} is damaged; restore it or start a new sweep.") from None
+        config, search, drawn, begun = read_sweep(folder)
+        now = stamp()
+        there, here = (one["versions"] | {"commit": one["commit"]} for one in (begun, now))
+        if differ := [name for name in there | here if there.get(name) != here.get(name)]:
+            words = ", ".join(f"{name} {there.get(name)}, now {here.get(name)}" for name in differ)
+            raise UsageError(f"{folder} was begun with {words}. Go back to that, or start a new sweep.")
+        return cls(folder, config, search, drawn)
 
     def trials(self) -> dict[Trial, dict[str, Any]]:
         """The lines of trials.jsonl, without one that a crash has torn at the end."""
         path, found = self.folder / "trials.jsonl", {}
-        lines = path.read_text().splitlines() if path.exists() else []
-        for number, line in enumerate(lines, 1):
-            try:
-                row = json.loads(line)
-            except json.JSONDecodeError:
-                if number == len(lines):
-                    break
-                raise UsageError(f"Line {number} of {path} is damaged; remove it to train its trial again.") from None
+        for number, row in enumerate(read_rows(path, TRIAL), 1):
             if not self._belongs(row):
                 raise UsageError(f"Line {number} of {path} is of another sweep; remove it.")
             found.setdefault((row["config"], row["seed"]), row)
@@ -178,9 +169,9 @@ class Sweep:
         keys = [jax.random.key(seed) for _, seed in chunk]
         tuned = [{name: jnp.float32(value) for name, value in self._inputs[i].items()} for i, _ in chunk]
         about: dict[str, Any] = {"trials": [list(trial) for trial in chunk]}
-        stored = read_metadata(path) if path.exists() else {}
+        stored = read_metadata(path, UNFINISHED) if path.exists() else {}
         if stored.get("trials") == about["trials"]:
-            state = lanes.split(load_checkpoint(path, lanes.like(run.trainer.init, keys, tuned)))
+            state = lanes.split(load_checkpoint(path, lanes.like(run.trainer.init, keys, tuned), finite=()))
             about["points"], clock = stored["points"], Clock(stored["seconds"])
         else:
             state = program.start(keys, tuned)
@@ -224,7 +215,7 @@ class Sweep:
 
     def _report(self, rows: Iterable[dict]) -> list[dict[str, Any]]:
         ranking = rank(rows)
-        write_atomically(self.folder / "ranking.json", json.dumps(ranking, indent=2).encode())
+        write_json(self.folder / "ranking.json", ranking)
         _save(overview(ranking, self.search, self._title()), self.folder / "sweep.png")
         return ranking
 
@@ -233,6 +224,18 @@ def _save(figure: Figure, path: Path) -> None:
     content = io.BytesIO()
     figure.savefig(content, format="png")
     write_atomically(path, content.getvalue())
+
+
+def read_sweep(folder: Path) -> tuple[TrainConfig, dict[str, str], list[dict[str, Any]], dict[str, Any]]:
+    """What sweep.json says: the configuration, the search, what was drawn, and the stamp of its beginning."""
+    path = folder / "sweep.json"
+    if not path.exists():
+        raise UsageError(f"{folder} is not a sweep folder: it has no sweep.json.")
+    stored = read_json(path, SWEEP)
+    if not stored["drawn"] or any(one.keys() != stored["search"].keys() for one in stored["drawn"]):
+        raise UsageError(f"Cannot read {path}: what was drawn is not what was searched for.")
+    config = stored_config(stored["config"], str(path))
+    return config, stored["search"], stored["drawn"], stored["config"]["stamp"]
 
 
 class Program:

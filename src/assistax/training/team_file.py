@@ -13,10 +13,12 @@ import jax.numpy as jnp
 
 from assistax.env import Env
 from assistax.errors import UsageError
+from assistax.files import mismatch
+from assistax.formats import TEAM
 from assistax.policies import Player, Team
 from assistax.settings import with_settings
 from assistax.tasks import TASKS, task_spec
-from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint
+from assistax.training.checkpoint import EVERYTHING, load_checkpoint, read_metadata, save_checkpoint
 from assistax.training.configuration import TrainConfig, stored_config, to_json, trained_env
 
 TRAINED = Path(__file__).parents[1] / "trained"
@@ -47,16 +49,31 @@ def save_team(path: Path, team: Team, config: TrainConfig) -> None:
     save_checkpoint(path, params, {"team": to_json(dataclasses.replace(config, num_seeds=1))})
 
 
+def read_team(path: Path) -> TrainConfig:
+    """What the team in a file was trained for."""
+    about = read_metadata(path)
+    if isinstance(about, dict) and "team" not in about:
+        kind = "a partner in a run's folder" if "partner" in about else "a checkpoint"
+        raise UsageError(f"{path} is {kind}, not a team; give its run folder.")
+    if wrong := mismatch(about, TEAM):
+        raise UsageError(f"{path} is damaged: in its metadata, {wrong}.")
+    return stored_config(about["team"], f"the metadata of {path}")
+
+
 def load_team(path: Path, settings: Mapping[str, Any] | None = None, engine: str | None = None) -> tuple[Env, Team]:
     """The team in a file, and the environment it was trained in but for `settings`."""
-    about = read_metadata(path)
-    if "team" not in about:
-        raise UsageError(f"{path} is a checkpoint, not a team; give its run folder.")
-    config = stored_config(about["team"])
+    config = read_team(path)
     if engine is not None:
         config = dataclasses.replace(config, engine=engine)
     config = with_settings(config, settings or {})
     env, trainer = trained_env(config)
-    like = jax.eval_shape(lambda key: trainer.policy_params(trainer.init(key)), jax.random.key(0))
-    params, policy = load_checkpoint(path, like), trainer.policy(config.deterministic)
+    params, policy = (
+        load_checkpoint(path, params_like(trainer), finite=EVERYTHING),
+        trainer.policy(config.deterministic),
+    )
     return env, {agent: Player.of(policy, params[agent]) for agent in env.agents}
+
+
+def params_like(trainer: Any) -> dict[str, Any]:
+    """By learner, shapes and dtypes of the parameters of `trainer.policy()`."""
+    return jax.eval_shape(lambda key: trainer.policy_params(trainer.init(key)), jax.random.key(0))

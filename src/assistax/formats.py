@@ -1,0 +1,69 @@
+"""What must be in the files that the program reads back, as schemas (see files.py); more may be."""
+
+from typing import Any
+
+from assistax.files import Schema
+
+SEEDS = range(2**32)
+COUNT = range(1, 2**31)
+STEPS = range(2**53)
+
+STAMP: Schema = {"versions?": {str: str}, "commit?": (str, None), "hardware?": str}
+_PERSON: Schema = {str: str}
+
+# config.json of a run, "config" in sweep.json, "team" in a team file. Other settings are checked by their dataclasses.
+CONFIG: Schema = {
+    "task": str,
+    "algorithm": str,
+    "preset": str,
+    "steps": range(1, 2**53),
+    "seed": SEEDS,
+    "num_envs?": COUNT,
+    "num_seeds?": range(1, 10**4),
+    "partners?": [str],
+    "partner_copies?": [str],
+    "env?": {"human?": {"disability?": str, "preference?": str, "people?": (str, [_PERSON])}},
+    "task_config?": {str: object},
+    "ppo?": {"recurrent?": bool, "share_parameters?": bool},
+    "sac?": {str: object},
+    "stamp?": STAMP,
+}
+
+_MEAN: Schema = {"mean": float}
+EVALUATION: Schema = {  # what `evaluation.summarize` returned
+    "episodes": COUNT,
+    "mean_return": float,
+    "success_rate": float,
+    "task_return?": _MEAN,
+    "preference_return?": _MEAN,
+    "force": {str: float},
+    "outcomes": {str: _MEAN},
+}
+SUMMARY: Schema = {"evaluation": [EVALUATION], "steps?": STEPS, "engine?": str} | STAMP
+
+ROWS: dict[str, Any] = {  # of evaluations.jsonl and metrics.jsonl
+    "evaluations": {"steps": STEPS, "seed": SEEDS, "episodes": {str: [float]}},
+    "metrics": {"steps": STEPS, "seed": SEEDS, "episodes": STEPS, "episode": {str: float}, "reward": {str: float}},
+}
+
+EXPERTS: Schema = [{"task": str, "policy": str, "human": _PERSON, "mean_return": float}]
+PEOPLE: Schema = [_PERSON]
+
+_SETTING: Schema = (str, bool, float, [float])
+_SWEEP_CONFIG: Schema = CONFIG | {"stamp": {"versions": {str: str}, "commit": (str, None)}}
+SWEEP: Schema = {"config": _SWEEP_CONFIG, "search": {str: str}, "drawn": [{str: _SETTING}]}
+TRIAL: Schema = {
+    "config": STEPS,
+    "seed": SEEDS,
+    "settings": {str: _SETTING},
+    "steps": STEPS,
+    "auc": (float, None),
+    "final_return": (float, None),
+    "success": (float, None),
+    "failed": bool,
+}
+
+CHECKPOINT: Schema = {"task": str, "algorithm": str, "steps": STEPS, "seconds": {str: float}}
+TEAM: Schema = {"team": CONFIG}
+PARTNER: Schema = {"partner": CONFIG, "members": range(1, 10**4), "deterministic": bool}  # a run's copy of it
+UNFINISHED: Schema = {"trials": [[STEPS]], "points": [[[object]]], "seconds": {str: float}}  # trials of a sweep
