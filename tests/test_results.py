@@ -13,7 +13,7 @@ from assistax import results as cli
 from assistax.errors import UsageError
 from assistax.evaluation.statistics import student_t
 from assistax.results import comparison, figures
-from assistax.results.stored import StoredRun, best_source, curve, differences, experiments, find_runs, read_rows
+from assistax.results.stored import StoredRun, best_source, curve, differences, experiments, find_runs
 
 STAMP = {"versions": {"assistax": "0.1.0", "mujoco": "3.17.0", "jax": "0.10.2"}, "commit": "abc", "hardware": "2 cores"}
 CONFIG = {
@@ -147,7 +147,7 @@ def test_a_torn_last_line_is_left_out(tmp_path):
     run = write_run(tmp_path / "a", [1, 2, 3])
     with open(run / "evaluations.jsonl", "a") as file:
         file.write('{"steps": 4000, "se')
-    assert len(read_rows(run / "evaluations.jsonl")) == 3
+    assert len(StoredRun.read(run).rows("evaluations")) == 3
     steps, _ = curve(pooled(run)[0], "return", "evaluation")
     assert list(steps) == [1000, 2000, 3000]
 
@@ -174,11 +174,11 @@ def test_bad_input_is_one_clear_line(tmp_path, monkeypatch):
         (lambda: find_runs(), "no finished run in results and runs"),
         (lambda: find_runs([tmp_path / "empty"]), "not a run folder and holds none"),
         (lambda: find_runs([tmp_path / "nowhere"]), "not a run folder"),
-        (lambda: find_runs([tmp_path / "odd"]), "cannot be read as JSON"),
+        (lambda: find_runs([tmp_path / "odd"]), "odd/config.json: it is not JSON"),
         (lambda: pooled(a, b), "both seed 0"),
         (lambda: cli.table((young,)), "no summary.json"),
         (lambda: cli.table((a,), json=True, markdown=True), "--json and --markdown"),
-        (lambda: curve(pooled(torn)[0], "return", "evaluation"), "damaged in line 2 of 3"),
+        (lambda: curve(pooled(torn)[0], "return", "evaluation"), "Cannot read line 2 of 3 in"),
         (lambda: curve(pooled(a)[0], "retrun", "evaluation"), "Did you mean 'return'"),
         (lambda: cli.plot((a, harder)), "task_config.near is 0.1 and 0.2"),
         (lambda: cli.plot((a, shorter)), "env.episode_length is 1000 and 500"),
@@ -370,7 +370,7 @@ def test_plot_writes_what_the_suffix_says(suffix, tmp_path, capsys):
 
 def test_the_curve_of_one_run(tmp_path):
     run = write_run(tmp_path / "a", [[101, 102, 103], [103, 104, 105]], env__human__preference="sweep")
-    figure = figures.learning_curve(read_rows(run / "metrics.jsonl"), "title", tmp_path / "curve.png")
+    figure = figures.learning_curve(StoredRun.read(run).rows("metrics"), "title", tmp_path / "curve.png")
     lines = {line.get_label(): list(line.get_ydata()) for line in figure.axes[0].lines}
     assert lines["seed 0"] == [2, 3] and lines["seed 1"] == [4, 5]  # nothing ended in the first iteration
     assert lines["seed 0, task"] == [-48, -47] and lines["seed 0, preference"] == [-50, -50]

@@ -17,11 +17,11 @@ import numpy as np
 from assistax.env import make
 from assistax.errors import choose
 from assistax.evaluation.playing import evaluate, play, summarize
-from assistax.files import write_atomically
+from assistax.files import read_json, write_atomically
 from assistax.human import DISABILITIES
 from assistax.policies import scripted_team
 from assistax.results.comparison import markdown, read_references, report, tables
-from assistax.results.figures import learning_curves
+from assistax.results.figures import learning_curves, save
 from assistax.results.stored import experiments, find_runs
 from assistax.stamp import commit
 from assistax.tasks import TASKS
@@ -145,7 +145,7 @@ PAPER_A100 = {"scratch": 31_698, "bed_bath": 39_945, "arm_assist": 39_154}  # en
 
 
 def speed(folder: Path) -> str:
-    reports = {task: json.loads((folder / f"{task}.json").read_text()) for task in BOUNDS}
+    reports = {task: read_json(folder / f"{task}.json", {str: object}) for task in BOUNDS}
     ours, others = [], []
     for task, r in reports.items():
         rate = r["env_steps_per_s"]
@@ -212,9 +212,9 @@ def results(folder: Path, pictures: Path) -> str:
     evaluated = [e for e in found if all(run.rows("evaluations") for run in e.runs)]
     for name, long in {"learning_curves": False, "learning_curves_long": True}.items():
         shown = [e for e in evaluated if (e.method.steps > SHORT) == long]
-        learning_curves(shown, references, source="evaluation").savefig(pictures / f"{name}.png")
+        save(learning_curves(shown, references, source="evaluation"), pictures / f"{name}.png")
     files = [folder / "crossplay" / f"{task}.json" for task in BOUNDS]
-    meetings = [json.loads(path.read_text()) for path in files if path.exists()]
+    meetings = [read_json(path, {str: object}) for path in files if path.exists()]
     return RESULTS_PAGE.format(
         tables="\n\n".join(markdown(*each) for each in tables(said)),
         remarks="\n".join(f"- {remark}" for remark in said["remarks"]),

@@ -4,7 +4,6 @@ Work in progress lies in `runs/reproduce/`, with its checkpoints; what is finish
 or not at all. So any machine at hand for some minutes is useful: `assistax reproduce --budget 9m`.
 """
 
-import json
 import os
 import shutil
 import time
@@ -15,7 +14,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from assistax.errors import UsageError
-from assistax.files import write_atomically
+from assistax.files import write_atomically, write_json
 from assistax.training.presets import TASKS
 
 ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
@@ -104,7 +103,7 @@ class Timing:
         report = bench(env, 1024) | bench_training(env, 1024)
         work.mkdir(parents=True, exist_ok=True)
         path = work / f"{self.task}.json"
-        write_atomically(path, json.dumps(report, indent=2).encode())
+        write_json(path, report)
         return path
 
 

@@ -45,6 +45,18 @@ def with_settings(config: T, settings: Mapping[str, Any], also: Iterable[str] = 
     return dataclasses.replace(config, **changes)  # ty: ignore[invalid-argument-type]
 
 
+def check_count(name: str, value: int) -> None:
+    """Raise UsageError unless so many can be counted, from 1 on, in the 32 bits that JAX has for it."""
+    if not 1 <= value < 2**31:
+        raise UsageError(f"{name} must be {'1 or more' if value < 1 else 'below 2^31'}, not {value}.")
+
+
+def check_seed(name: str, value: int) -> None:
+    """Raise UsageError unless it is a seed of its own: JAX takes 32 bits of it."""
+    if not 0 <= value < 2**32:
+        raise UsageError(f"{name} must be from 0 to 2^32 - 1, not {value}.")
+
+
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
     """["a.b=1", "c=x"] to {"a.b": 1, "c": "x"}."""
     settings = {}

@@ -45,5 +45,10 @@ def main() -> None:
     except AssistaxError as error:
         print(f"assistax: {error}", file=sys.stderr)
         sys.exit(2)
+    except (MemoryError, RuntimeError) as error:
+        if not isinstance(error, MemoryError) and "RESOURCE_EXHAUSTED" not in str(error):  # as JAX says it
+            raise
+        print("assistax: There is too little memory; take fewer environments or episodes.", file=sys.stderr)
+        sys.exit(2)
     except BrokenPipeError:  # the reader has seen enough, as in `assistax humans --people paper630 | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -41,7 +41,7 @@ def crossplay(
       json: print JSON instead of a table.
     """
     from assistax.evaluation.playing import EVALUATION_SEED
-    from assistax.results.figures import check_format
+    from assistax.results.figures import check_format, save
     from assistax.stamp import stamp
     from assistax.teamwork.crossplay import cross_play, picture, table
 
@@ -49,7 +49,7 @@ def crossplay(
         check_format(out)
     said = cross_play(_entrants(targets, engine, set), episodes, EVALUATION_SEED if seed is None else seed)
     if out is not None:
-        picture(said).savefig(out)
+        save(picture(said), out)
     if json:
         print_json(said | stamp())
         return

@@ -26,6 +26,7 @@ def humans(*, people: str | None = None, seed: int = 0, json: Json = False) -> N
     import jax
 
     from assistax.human import DISABILITIES, disability, population, preference
+    from assistax.settings import check_seed
 
     if people is not None:
         listed = population.people(people)
@@ -36,6 +37,7 @@ def humans(*, people: str | None = None, seed: int = 0, json: Json = False) -> N
             words = "" if person.preference == "none" else preference.describe(preference.parse(person.preference))
             print(f"{i:4} {person.disability:34} {words}")
         return
+    check_seed("seed", seed)
     liked = preference.sample(jax.random.key(seed))
     words = preference.describe(liked)
     if json:

@@ -37,13 +37,13 @@ def plot(
       out: a .png, .svg or .pdf.
     """
     from assistax.results.comparison import read_references
-    from assistax.results.figures import check_format, learning_curves
+    from assistax.results.figures import check_format, learning_curves, save
     from assistax.results.stored import differences, experiments, find_runs
 
     check_format(out)
     found = experiments(find_runs(runs))
     figure = learning_curves(found, read_references(), by=by, metric=metric, source=source, kind=scale)
-    figure.savefig(out)
+    save(figure, out)
     print(f"wrote {out}")
     for remark in differences(found):
         print(remark, file=sys.stderr)

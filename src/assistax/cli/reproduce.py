@@ -22,6 +22,7 @@ def reproduce(*, budget: str | None = None, only: str | None = None, seeds: int 
       seeds: seeds of each training (the paper has 16).
     """
     from assistax.experiments import advance, choose_experiments, status
+    from assistax.files import writing
 
     results, work = Path("results"), Path("runs/reproduce")
     if seeds < 1:
@@ -33,7 +34,8 @@ def reproduce(*, budget: str | None = None, only: str | None = None, seeds: int 
             state = "done" if fraction == 1.0 else f"{fraction:.0%}" if fraction else "missing"
             print(f"{experiment.name:56} {experiment.shows:16} {state}")
         return
-    finished = advance(chosen, results, work, seconds)
+    with writing(results):
+        finished = advance(chosen, results, work, seconds)
     left = sum(fraction < 1.0 for _, fraction in status(chosen, results, work))
     print(f"finished {len(finished)}, {left} left")
 

@@ -65,6 +65,7 @@ def sweep(
       side_by_side: trials that an accelerator trains at once (default: as many as there are seeds).
       resume: continue this sweep folder.
     """
+    from assistax.files import writing
     from assistax.settings import parse_assignments
     from assistax.training.configuration import configure
     from assistax.training.search import SEARCH
@@ -93,7 +94,8 @@ def sweep(
         name = f"sweep-{task}-{config.algorithm}{'-rnn' * recurrent}{'-shared' * share_parameters}-{config.seed}"
         found = Sweep.create(config, out or free_folder(name), 168 if configs is None else configs, wanted)
     print(f"{found.config.task}, {len(found.drawn)} configurations, into {found.folder}", file=sys.stderr)
-    ranking = found.run(side_by_side)
+    with writing(found.folder):
+        ranking = found.run(side_by_side)
     if ranking is None:
         print(f"Stopped and saved. Continue with: assistax sweep --resume {found.folder}", file=sys.stderr)
         sys.exit(130)

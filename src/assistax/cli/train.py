@@ -60,6 +60,7 @@ def train(
         person is, see `assistax humans --help`: env.human.disability, .preference, .people, .visibility.
       resume: continue this run folder; --steps may prolong it.
     """
+    from assistax.files import writing
     from assistax.settings import parse_assignments
     from assistax.training.configuration import configure
     from assistax.training.run import Run
@@ -82,7 +83,8 @@ def train(
         name = f"{task}-{config.algorithm}{'-rnn' * recurrent}{'-shared' * share_parameters}-{config.seed}"
         run = Run.create(config, out or free_folder(name))
     print(f"{run.config.task} on the {run.env.engine.name} engine, into {run.folder}", file=sys.stderr)
-    summary = run.train()
+    with writing(run.folder):
+        summary = run.train()
     if summary is None:
         print(f"Stopped and saved. Continue with: assistax train --resume {run.folder}", file=sys.stderr)
         sys.exit(130)

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax.env import Env
-from assistax.errors import UsageError
 from assistax.physics import check_faults
+from assistax.settings import check_count
 from assistax.stamp import peak_memory_mb, stamp
 
 
@@ -23,8 +23,7 @@ def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
         on the C engine that is `mujoco.batch.Batch.step` itself, without JAX.
       reset_share: the part of the step time that auto-reset takes.
     """
-    if num_envs < 1:
-        raise UsageError(f"num_envs must be 1 or more, not {num_envs}.")
+    check_count("num_envs", num_envs)
     keys = jax.random.split(jax.random.key(0), num_envs)
     began = time.perf_counter()
     _, state = jax.block_until_ready(jax.jit(jax.vmap(env.reset))(keys))

@@ -2,12 +2,15 @@
 
 import warnings
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from assistax import scenes
 from assistax.errors import UsageError
+from assistax.files import write_atomically, writing
 from assistax.tasks import task_spec
 
 FILM_FORMATS = {".mp4": 25, ".webp": 10, ".png": 1}  # frames per second; .webp plays in web pages
@@ -55,16 +58,22 @@ def film(task: str, qpos: np.ndarray, markers: np.ndarray, dt: float, path: Path
     import imageio.v3 as iio
 
     check_format(path)
+    rate = FILM_FORMATS[path.suffix]
     with Camera(task, **camera) as cam:
         if path.suffix == ".png":
-            iio.imwrite(path, cam.picture(qpos[-1], markers[-1]))
+            write_atomically(path, iio.imwrite("<bytes>", cam.picture(qpos[-1], markers[-1]), extension=".png"))
             return
-        rate = FILM_FORMATS[path.suffix]
         stride = max(1, round(1 / (rate * dt)))
         frames = [cam.picture(q, m) for q, m in zip(qpos[::stride], markers[::stride], strict=True)]
-        if path.suffix == ".webp":
-            iio.imwrite(path, frames, duration=1000 / rate, loop=0, quality=60, method=4)
-            return
-        with warnings.catch_warnings(), iio.imopen(path, "w", plugin="FFMPEG") as video:
-            warnings.filterwarnings("ignore", message=r"os\.fork")  # ffmpeg is not Python; JAX cannot know
+    if path.suffix == ".webp":
+        style: dict[str, Any] = {"duration": 1000 / rate, "loop": 0, "quality": 60, "method": 4}
+        write_atomically(path, iio.imwrite("<bytes>", frames, extension=".webp", **style))
+        return
+    # ffmpeg wants a file to go back and forth in, and does not always say that a disk is full.
+    with writing(path), TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=r"os\.fork")  # ffmpeg is not Python; JAX cannot know
+        file = Path(folder) / "film.mp4"
+        with iio.imopen(file, "w", plugin="FFMPEG") as video:
             video.write(frames, fps=rate, macro_block_size=1)
+        content = file.read_bytes()
+    write_atomically(path, content)

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax.env import Env
-from assistax.errors import UsageError
 from assistax.evaluation.statistics import bootstrap_ci, proportion_ci
 from assistax.physics import check_faults
 from assistax.policies import Team
+from assistax.settings import check_count, check_seed
 
 EVALUATION_SEED = 20_260_000  # evaluation draws are the same for all runs, and not those of training
 
@@ -24,8 +24,7 @@ class Evaluator:
     """
 
     def __init__(self, env: Env, episodes: int):
-        if episodes < 1:
-            raise UsageError(f"episodes must be 1 or more, not {episodes}.")
+        check_count("episodes", episodes)
         self.env, self.episodes = env, episodes
         self._play = jax.jit(jax.vmap(self._one, (None, 0)))
 
@@ -38,6 +37,7 @@ class Evaluator:
           [episodes, T] whether the episode was still on, "qpos" [episodes, T, nq], "marker" [.., T, 3],
           "person" [episodes] the row of the list of people that the reset drew.
         """
+        check_seed("seed", seed)
         for player in team.values():
             player.check()
         keys = jax.random.split(jax.random.key(seed), self.episodes)

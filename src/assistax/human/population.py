@@ -3,7 +3,6 @@
 Paper: section "AHT pipeline" and appendix "Preference Reward System".
 """
 
-import json
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -12,6 +11,7 @@ import jax
 import numpy as np
 
 from assistax.errors import UsageError, choose
+from assistax.files import read_json
 from assistax.human import disability, preference
 from assistax.human.disability import DISABILITIES
 from assistax.human.profile import HumanProfile, Person, unstack
@@ -72,12 +72,7 @@ def people(given) -> tuple[Person, ...]:
 def _read(path: Path):
     if path.suffix != ".json":
         choose("people", str(path), [PAPER, "a file named *.json"])
-    try:
-        return json.loads(path.read_text())
-    except OSError as error:
-        raise UsageError(f"Cannot read people from {path}: {error.strerror}.") from None
-    except ValueError as error:  # not JSON, or not text
-        raise UsageError(f"{path} is not a JSON file: {error}.") from None
+    return read_json(path, object)  # checked by `people`, as lists are that come from elsewhere
 
 
 def _person(where: str, row) -> Person:

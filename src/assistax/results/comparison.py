@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 
 from assistax.env import EnvConfig
-from assistax.errors import UsageError, choose
+from assistax.errors import choose
 from assistax.evaluation.statistics import FEW_SEEDS, Interval, iqm, mean, probability_of_improvement, seed_ci
-from assistax.results.stored import Experiment, by_method, check_comparable, differences, flat, read_json, scales_return
+from assistax.files import read_json
+from assistax.formats import EXPERTS
+from assistax.results.stored import Experiment, by_method, check_comparable, differences, flat, scales_return
 from assistax.tasks import stored_task, task_spec
 
 REFERENCES = Path("results/experts.json")  # what scripted policies reach, written by `tools/pages.py`
@@ -27,10 +29,7 @@ SCALES = {  # of a return
 
 def read_references(path: Path = REFERENCES) -> list[dict[str, Any]]:
     """What scripted policies reach: per task, policy and person what `summarize` says of them; [] without a file."""
-    records = read_json(path) if path.exists() else []
-    if not isinstance(records, list) or not all({"task", "policy", "human", "mean_return"} <= set(r) for r in records):
-        raise UsageError(f"{path} is not a list of records with task, policy, human and mean_return.")
-    return records
+    return read_json(path, EXPERTS) if path.exists() else []
 
 
 def references_of(experiment: Experiment, records: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -1,5 +1,6 @@
 """Learning curves: of one run, and of experiments beside each other."""
 
+import io
 import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -14,6 +15,7 @@ from matplotlib.lines import Line2D
 
 from assistax.errors import UsageError, choose
 from assistax.evaluation.statistics import FEW_SEEDS, iqm, mean, seed_ci
+from assistax.files import write_atomically
 from assistax.results.comparison import SCALES, bound_of, expert_of, scale, scales
 from assistax.results.stored import POINTS, Experiment, Method, best_source, by_method, check_comparable, curve
 
@@ -62,6 +64,13 @@ def check_format(path: Path) -> None:
         raise UsageError(f"Can write {', '.join(FORMATS)}, not {path.name!r}.")
     if not path.parent.is_dir():
         raise UsageError(f"The folder {path.parent} of --out does not exist.")
+
+
+def save(figure: Figure, path: Path, **settings: Any) -> None:
+    """Write a figure, whole or not at all, in the format that the path's suffix names."""
+    content = io.BytesIO()
+    figure.savefig(content, format=path.suffix[1:], **settings)
+    write_atomically(path, content.getvalue())
 
 
 # -- of experiments ----------------------------------------------------------------------------
@@ -274,7 +283,7 @@ def learning_curve(rows: list[dict], title: str, path: Path) -> Figure:
             axis.set(xlabel="million environment steps", title=name)
             axis.legend(fontsize=8)
         figure.suptitle(f"{title}; training episodes, with sampled actions", fontsize=10)
-        figure.savefig(path, dpi=110)
+        save(figure, path, dpi=110)
     return figure
 
 

@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 
 from assistax.errors import UsageError, choose
+from assistax.files import read_json, read_rows
+from assistax.formats import CONFIG, ROWS, SUMMARY
 from assistax.tasks import TASKS, stored_task
 
 # Settings that say how something was computed or measured, not what was trained.
@@ -38,10 +40,12 @@ class StoredRun:
 
     @classmethod
     def read(cls, folder: Path) -> "StoredRun":
-        config = read_json(folder / "config.json")
-        if not isinstance(config, dict) or not {"task", "algorithm", "preset", "steps", "seed"} <= set(config):
-            raise UsageError(f"{folder / 'config.json'} is not the configuration of a run.")
-        config["task"] = choose("task", stored_task(config["task"]), TASKS)
+        path = folder / "config.json"
+        config = read_json(path, CONFIG)
+        try:
+            config["task"] = choose("task", stored_task(config["task"]), TASKS)
+        except UsageError as error:
+            raise UsageError(f"Cannot read {path}: {error}") from None
         return cls(folder, dict(flat(config)), config.pop("stamp", {}))
 
     @cached_property
@@ -52,8 +56,8 @@ class StoredRun:
     def summary(self) -> dict[str, Any]:
         """Empty for an unfinished run; "evaluation" is by seed what `evaluation.summarize` said at the end."""
         path = self.folder / "summary.json"
-        summary = read_json(path) if path.exists() else {}
-        if summary and (not isinstance(summary, dict) or len(summary.get("evaluation", [])) != len(self.seeds)):
+        summary = read_json(path, SUMMARY) if path.exists() else {}
+        if summary and len(summary["evaluation"]) != len(self.seeds):
             raise UsageError(f"{path} is not of the {len(self.seeds)} seeds that config.json is of.")
         return summary
 
@@ -64,20 +68,7 @@ class StoredRun:
 
     def rows(self, name: str) -> list[dict[str, Any]]:
         """Of "metrics" or "evaluations"."""
-        return read_rows(self.folder / f"{name}.jsonl")
-
-
-def read_rows(path: Path) -> list[dict[str, Any]]:
-    """The rows of a JSON-lines file; none if there is no file. A torn last line, left by a crash, is not one."""
-    lines = path.read_text().splitlines() if path.exists() else []
-    rows = []
-    for number, line in enumerate(lines, 1):
-        try:
-            rows.append(json.loads(line))
-        except json.JSONDecodeError:
-            if number < len(lines):
-                raise UsageError(f"{path} is damaged in line {number} of {len(lines)}.") from None
-    return rows
+        return read_rows(self.folder / f"{name}.jsonl", ROWS[name])
 
 
 def find_runs(folders: Sequence[Path] = ()) -> list[StoredRun]:
@@ -99,14 +90,6 @@ def find_runs(folders: Sequence[Path] = ()) -> list[StoredRun]:
         where = ", ".join(map(str, folders)) or "results and runs"
         raise UsageError(f"There is no finished run in {where}; train one first (assistax train) or name its folder.")
     return list(found.values())
-
-
-def read_json(path: Path) -> Any:
-    """The content of a JSON file; raises UsageError if there is none."""
-    try:
-        return json.loads(path.read_text())
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
-        raise UsageError(f"{path} cannot be read as JSON; restore it or leave it out.") from None
 
 
 def flat(settings: dict[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:

@@ -11,7 +11,7 @@ from assistax.learning.algorithms import ALGORITHMS, Algorithm
 from assistax.learning.trainer import Trainer
 from assistax.physics import resolve_engine
 from assistax.policies import Player, Still
-from assistax.settings import with_settings
+from assistax.settings import check_count, check_seed, with_settings
 from assistax.stamp import stamp
 from assistax.tasks import stored_task, task_spec
 from assistax.training.presets import num_envs, preset
@@ -45,9 +45,13 @@ class TrainConfig:
         for name, value in algorithm.switches.items():
             if getattr(self.method, name) != value:
                 raise UsageError(f"{self.group}.{name} is {value} for {self.algorithm}; change --algorithm, not it.")
-        for name in ("steps", "num_envs", "num_seeds", "evaluation_episodes"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"{name} must be 1 or more, not {getattr(self, name)}.")
+        if self.steps < 1:
+            raise UsageError(f"steps must be 1 or more, not {self.steps}.")
+        for name in ("num_envs", "num_seeds", "evaluation_episodes"):
+            check_count(name, getattr(self, name))
+        check_count(f"num_envs x {self.group}.num_steps", self.num_envs * self.method.num_steps)
+        for seed in (self.seed, self.seeds[-1]):
+            check_seed("seed", seed)
 
     @property
     def kind(self) -> Algorithm:

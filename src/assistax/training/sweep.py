@@ -13,7 +13,6 @@ failed and has no area.
 """
 
 import dataclasses
-import io
 import itertools
 import json
 import math
@@ -26,7 +25,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from assistax.errors import UsageError
@@ -36,6 +34,7 @@ from assistax.formats import SWEEP, TRIAL, UNFINISHED
 from assistax.learning.tuned import tunable
 from assistax.physics import check_faults
 from assistax.physics.engine import UNSTABLE
+from assistax.results.figures import save as save_figure
 from assistax.settings import with_settings
 from assistax.stamp import stamp
 from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint
@@ -160,7 +159,7 @@ class Sweep:
         ranking = self._report(finished.values())
         for name in intervals(self.search):
             path = self.folder / f"sweep_{name.split('.')[-1]}.png"
-            _save(facets(ranking, self.search, name, self._title()), path)
+            save_figure(facets(ranking, self.search, name, self._title()), path)
         return ranking
 
     def _train(self, program: "Program", chunk: list[Trial], stop: Stop, bar: tqdm) -> list[dict[str, Any]] | None:
@@ -216,14 +215,8 @@ class Sweep:
     def _report(self, rows: Iterable[dict]) -> list[dict[str, Any]]:
         ranking = rank(rows)
         write_json(self.folder / "ranking.json", ranking)
-        _save(overview(ranking, self.search, self._title()), self.folder / "sweep.png")
+        save_figure(overview(ranking, self.search, self._title()), self.folder / "sweep.png")
         return ranking
-
-
-def _save(figure: Figure, path: Path) -> None:
-    content = io.BytesIO()
-    figure.savefig(content, format="png")
-    write_atomically(path, content.getvalue())
 
 
 def read_sweep(folder: Path) -> tuple[TrainConfig, dict[str, str], list[dict[str, Any]], dict[str, Any]]:
