@@ -109,3 +109,28 @@ class Cue(Game):
 
     def play(self, key, state, actions):
         return 1.0 - jnp.square(actions["robot"][0] - state["c"]), {}
+
+
+class Integrator(Game):
+    """A point x, to be brought to 0: x moves by 0.3 u, each step costs x² + 0.1 u², x begins in [-2, 2].
+
+    The best play of an endless episode is u = -2 x, worth -5/3 x²: the positive root of p² - p = 10/9 (Riccati). It
+    is so with independent noise in u too. Correlated noise pushes x along, and is best met with a higher gain.
+    """
+
+    agents, episode_length = ("robot",), 50
+    observation_sizes, action_sizes, global_size = {"robot": 1}, {"robot": 1}, 1
+    optimum = -20.0 / 9.0  # -5/3 E[x²]
+
+    def begin(self, key):
+        return {"x": jax.random.uniform(key, (), minval=-2.0, maxval=2.0)}
+
+    def see(self, state):
+        return {"robot": self.global_obs(state)}
+
+    def global_obs(self, state):
+        return state["x"][None]
+
+    def play(self, key, state, actions):
+        u = actions["robot"][0]
+        return -jnp.square(state["x"]) - 0.1 * jnp.square(u), {"x": state["x"] + 0.3 * u}

@@ -266,6 +266,7 @@ def test_samples_are_what_a_step_by_step_loop_computes(variant):
 def test_improve_starts_from_the_rollouts_own_numbers(recurrent):
     """With one epoch and a vanishing step, no log-probability and no value may move."""
     config = PPOConfig(num_steps=30, num_minibatches=2, update_epochs=1, learning_rate=1e-9, recurrent=recurrent)
+    config = replace(config, noise_correlation=0.8)
     ppo = PPO(Meeting(ending=0.2), config, num_envs=4, total_iterations=1)
     state, stats = jax.jit(ppo.init)(jax.random.key(0)), {}
     step = jax.jit(lambda state: ppo.improve(*ppo.collect(state)))

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 
-from assistax import results as cli
+from assistax import cli
 from assistax.errors import UsageError
 from assistax.evaluation.statistics import student_t
 from assistax.results import comparison, figures

@@ -28,15 +28,21 @@ class Actor:
         if self.deterministic:
             mean, memory = self._mean(params, carry[0], obs, reset)
             return mean, (memory, carry[1])
-        return self.sample(params, carry, obs, reset, key)[:2]
+        return self.sample(params, carry, obs, reset, jnp.where(reset, 0.0, self.noise_correlation), key)[:2]
 
-    def sample(self, params, carry, obs, reset, key):
-        """(action, carry, log-probability of the action by itself) for obs [..., n], reset [...]."""
+    def sample(self, params, carry, obs, reset, kept, key, correlated=True):
+        """An action for obs [..., n] and reset [...], the carry, and its log-probability given the noise before.
+
+        kept [...] is the correlation of its noise with that of the step before, 0 where an episode begins; with
+        `correlated` false it is 0 throughout.
+        """
         mean, memory = self._mean(params, carry[0], obs, reset)
         log_std = params["actor"]["log_std"]
-        noise = next_noise(carry[1], reset, self.noise_correlation, key)
-        action = mean + jnp.exp(log_std) * noise[..., : mean.shape[-1]]
-        return action, (memory, noise), gaussian_log_prob(action, mean, log_std)
+        noise = next_noise(carry[1], kept, key)
+        n = mean.shape[-1]
+        action = mean + jnp.exp(log_std) * noise[..., :n]
+        given = (carry[1][..., :n], kept) if correlated else ()
+        return action, (memory, noise), gaussian_log_prob(action, mean, log_std, *given)
 
     def _mean(self, params, memory, obs, reset):
         if self.normalize_obs:
@@ -64,5 +70,5 @@ class SquashedActor:
         mean, log_std = split_head(mlp(params["actor"]["layers"], obs, self.activation))
         if self.deterministic:
             return jnp.tanh(mean), carry
-        noise = next_noise(carry, reset, self.noise_correlation, key)
+        noise = next_noise(carry, jnp.where(reset, 0.0, self.noise_correlation), key)
         return sample_squashed(mean, log_std, noise[: mean.shape[-1]])[0], noise

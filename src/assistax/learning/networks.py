@@ -156,16 +156,30 @@ def network_of(shared: Network, index: int, count: int, inputs: int, outputs: in
     return shared | {"layers": [first, *between, last]}
 
 
-def next_noise(noise: jax.Array, reset: jax.Array, correlation: float, key: jax.Array) -> jax.Array:
-    """Standard normal noise [..., n] one step after `noise`: correlated with it, unless `reset` [...]."""
-    kept = jnp.where(reset, 0.0, correlation)[..., None]
+def next_noise(noise: jax.Array, kept: jax.Array, key: jax.Array) -> jax.Array:
+    """Standard normal noise [..., n] one step after `noise`, with which it has the correlation `kept` [...]."""
+    kept = kept[..., None]
     return kept * noise + jnp.sqrt(1.0 - jnp.square(kept)) * jax.random.normal(key, noise.shape)
 
 
-def gaussian_log_prob(x: jax.Array, mean: jax.Array, log_std: jax.Array) -> jax.Array:
-    """Log-density [...] of x [..., n] under independent normals."""
-    z = (x - mean) * jnp.exp(-log_std)
-    return -0.5 * jnp.sum(jnp.square(z) + 2.0 * log_std + jnp.log(2.0 * jnp.pi), -1)
+def gaussian_log_prob(
+    x: jax.Array, mean: jax.Array, log_std: jax.Array, before: jax.Array | None = None, kept: jax.Array | None = None
+) -> jax.Array:
+    """Log-density [...] of x [..., n] under independent normals; if their noise is correlated in time, given the past.
+
+    Args:
+      x: [..., n].
+      mean: [..., n].
+      log_std: [..., n].
+      before: [..., n] the noise of the step before, in standard deviations.
+      kept: [...] its correlation with the noise in x, see `next_noise`.
+    """
+    z, log_spread = (x - mean) * jnp.exp(-log_std), log_std
+    if before is not None and kept is not None:
+        kept = kept[..., None]
+        z = (z - kept * before) * jax.lax.rsqrt(1.0 - jnp.square(kept))
+        log_spread = log_std + 0.5 * jnp.log1p(-jnp.square(kept))
+    return -0.5 * jnp.sum(jnp.square(z) + 2.0 * log_spread + jnp.log(2.0 * jnp.pi), -1)
 
 
 def gaussian_entropy(log_std: jax.Array) -> jax.Array:

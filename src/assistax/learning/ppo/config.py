@@ -28,7 +28,7 @@ class PPOConfig:
     hidden: tuple[int, ...] = (128, 128)
     activation: str = "tanh"
     initial_log_std: float = 0.0
-    noise_correlation: float = 0.0  # of the exploration from step to step; log-probabilities are of each by itself
+    noise_correlation: float = 0.0  # of the exploration from step to step; begins anew with episode and rollout
     correlated_steps: int = 0  # environment steps after which that is 0, as long runs need; 0: never
     normalize_obs: bool = True
     stagger: bool = True  # start the environments at different times of their episodes

@@ -51,7 +51,6 @@ class TrainState:
     obs: dict[str, jax.Array]  # agent -> [num_envs, n]
     reset: jax.Array  # [num_envs] whether obs begins an episode
     memory: dict[str, Any]  # learner -> its actor's carry before obs, [num_envs, units] or ()
-    noise: dict[str, jax.Array]  # learner -> [num_envs, n], what it explored with before obs, in standard deviations
     partner_state: dict[str, Any]  # of the frozen partners, see Partners
     key: jax.Array
     iteration: jax.Array  # int32
@@ -118,7 +117,6 @@ class PPO:
             obs=obs,
             reset=jnp.ones(self.num_envs, bool),
             memory=dict.fromkeys(self.learners, blank),
-            noise={agent: jnp.zeros((self.num_envs, env.action_sizes[agent])) for agent in self.learners},
             partner_state=self.partners.init(partner_key),
             key=key,
             iteration=jnp.int32(0),
@@ -176,6 +174,10 @@ class PPO:
         correlated = not c.correlated_steps or iteration < c.correlated_steps / self.steps_per_iteration
         return c.noise_correlation * correlated
 
+    def _correlated(self, state):
+        """Whether its exploration ever is; known when compiling."""
+        return self.config.noise_correlation > 0.0 or "noise_correlation" in state.tuned
+
     def policy(self, deterministic: bool = True) -> Actor:
         """The learners' policy, with `policy_params`, outside of training: explores as the run ends."""
         c = self.config
@@ -192,18 +194,21 @@ class PPO:
         """Play `num_steps` in all environments: the batch, each array [num_steps, num_envs, ...]."""
         env, c = self.env, overlaid(self.config, state.tuned)
         params = self.policy_params(state)
-        policy = replace(self.policy(False), noise_correlation=self._noise_correlation(c, state.iteration))
+        policy, correlated = self.policy(False), self._correlated(state)
+        correlation = self._noise_correlation(c, state.iteration)
         global_obs = jax.vmap(env.global_obs) if c.central_critic else lambda _: None
 
-        def play(carry, key):
-            env_state, obs, reset, memory, noise, partner_state, t = carry
+        def play(carry, now):
+            (env_state, obs, reset, memory, noise, partner_state, t), (key, first) = carry, now
+            # A rollout's noise knows nothing of the one before, so that its density is one of its own actions alone.
+            kept = jnp.where(reset | first, 0.0, correlation)
             partner_key, redraw_key, step_key, *action_keys = jax.random.split(key, 3 + len(self.learners))
             actions, partner_state = self.partners.act(partner_state, env_state, obs, reset, partner_key)
             memory, noise, log_probs = dict(memory), dict(noise), {}
             for agent, action_key in zip(self.learners, action_keys, strict=True):
                 carry = memory[agent], noise[agent]
                 actions[agent], carry, log_probs[agent] = policy.sample(
-                    params[agent], carry, obs[agent], reset, action_key
+                    params[agent], carry, obs[agent], reset, kept, action_key, correlated
                 )
                 memory[agent], noise[agent] = carry
             global_obs_before = global_obs(env_state)
@@ -219,6 +224,7 @@ class PPO:
                 "reset": reset,
                 "actions": {agent: actions[agent] for agent in self.learners},
                 "log_probs": log_probs,
+                "kept": kept if correlated else None,  # correlation of the noise with that of the step before
                 "rewards": {agent: rewards[agent] for agent in self.learners},
                 "terminated": terminated["__all__"],
                 "done": done,
@@ -229,11 +235,13 @@ class PPO:
 
         key, rollout_key = jax.random.split(state.key)
         t = state.iteration * c.num_steps + 1
-        start = (state.env_state, state.obs, state.reset, state.memory, state.noise, state.partner_state, t)
-        end, (batch, log) = jax.lax.scan(play, start, jax.random.split(rollout_key, c.num_steps))
-        names = ("env_state", "obs", "reset", "memory", "noise", "partner_state")
+        noise = {agent: jnp.zeros((self.num_envs, env.action_sizes[agent])) for agent in self.learners}
+        start = (state.env_state, state.obs, state.reset, state.memory, noise, state.partner_state, t)
+        steps = jax.random.split(rollout_key, c.num_steps), jnp.arange(c.num_steps) == 0
+        (env_state, obs, reset, memory, _, partner_state, _), (batch, log) = jax.lax.scan(play, start, steps)
         batch |= {"memory": state.memory, "log": iteration_log(log)}
-        return replace(state, **dict(zip(names, end[:-1], strict=True)), key=key), batch
+        after = {"env_state": env_state, "obs": obs, "reset": reset, "memory": memory, "partner_state": partner_state}
+        return replace(state, **after, key=key), batch
 
     # -- learning ------------------------------------------------------------------------------
 
@@ -245,7 +253,7 @@ class PPO:
         """
         c, networks = overlaid(self.config, state.tuned), self._networks(state.params)
         seen, final = self._seen(state.normalizer, batch["obs"]), self._seen(state.normalizer, batch["final_obs"])
-        samples = {"obs": seen, "reset": batch["reset"]}
+        samples = {"obs": seen, "reset": batch["reset"], "kept": batch["kept"]}
         for agent in self.learners:
             actor, critic, reset = networks[agent]["actor"], networks[agent]["critic"], batch["reset"]
             _, memory = unroll(actor, seen[agent], batch["memory"][agent], reset, c.activation)
@@ -290,6 +298,8 @@ class PPO:
         def minibatch(carry, ids):
             params, opt_state = carry
             part = jax.tree.map(lambda x: x[steps + ids], samples)
+            if self._correlated(state) and not c.recurrent:  # the step before in the same environment, if there is one
+                part["before"] = jax.tree.map(lambda x: x[jnp.maximum(ids - self.num_envs, 0)], samples)
             part_start = jax.tree.map(lambda x: x[ids], batch["memory"])
             grads, stats = jax.grad(partial(self._loss, c), has_aux=True)(params, part, part_start)
             rate = c.learning_rate
@@ -335,11 +345,37 @@ class PPO:
         # Shared weights learn from all agents' samples together: the mean over them.
         return sum(losses.values()) / (len(losses) if c.share_parameters else 1), stats
 
+    def _noise_before(self, c, agent, actor, part, mean):
+        """The noise [..., n] in the action before, if there is one, to those who would have acted with this `actor`.
+
+        Not the noise of the rollout: who acts otherwise explains the same actions by other noise, and without that
+        the gradient is another's (Korenkevych et al., 2019).
+        """
+
+        def noise(action, mean):
+            return (action - mean) * jnp.exp(-actor["log_std"])
+
+        if c.recurrent:
+            here = noise(part[agent]["action"], mean)
+            return jnp.concatenate([jnp.zeros_like(here[:1]), here[:-1]])
+
+        def played_again():
+            before = part["before"]
+            return noise(before[agent]["action"], mlp(actor["layers"], before["obs"][agent], c.activation))
+
+        # Costs nothing any more once the noise is independent.
+        return jax.lax.cond(jnp.any(part["kept"] > 0.0), played_again, lambda: jnp.zeros_like(mean))
+
+    def _log_prob(self, c, agent, actor, part, start):
+        """Log-probabilities [...] of the actions of `part`, which follow those before them, and the actor's memory."""
+        mean, memory = unroll(actor, part["obs"][agent], start, part["reset"], c.activation)
+        given = () if part["kept"] is None else (self._noise_before(c, agent, actor, part, mean), part["kept"])
+        return gaussian_log_prob(part[agent]["action"], mean, actor["log_std"], *given), memory
+
     def _agent_loss(self, c, agent, networks, part, start):
-        x, reset = part[agent], part["reset"]
-        mean, memory = unroll(networks["actor"], part["obs"][agent], start, reset, c.activation)
-        log_std = networks["actor"]["log_std"]
-        log_ratio = gaussian_log_prob(x["action"], mean, log_std) - x["log_prob"]
+        x, log_std = part[agent], networks["actor"]["log_std"]
+        log_prob, memory = self._log_prob(c, agent, networks["actor"], part, start)
+        log_ratio = log_prob - x["log_prob"]
         policy_loss = clipped_policy_loss(log_ratio, x["advantage"], c.clip_eps)
         value = self._value(networks["critic"], agent, part["obs"], memory)
         value_error = value_loss(value, x["value"], x["target"], c.clip_eps if c.clip_value else None)
