@@ -21,7 +21,7 @@ def test_rows_are_robots_and_columns_persons_with_their_bodies(scratch):
     """Against pairs put together by hand."""
     trembling = assistax.make("scratch", engine="mujoco", episode_length=20, human={"disability": "tremor"})
     report = cross_play([entrant("random", scratch), entrant("withdraw", trembling)], EPISODES)
-    assert report["teams"] == ["random", "withdraw"] and report["task"] == "scratch"
+    assert report["teams"] == ["random", "withdraw"] and report["task"] == "scratch-v0"
     for i, robot in enumerate(("random", "expert")):
         for j, (human, env) in enumerate((("random", scratch), ("withdraw", trembling))):
             names = {"robot": robot, "human": human}
@@ -41,7 +41,7 @@ def test_what_cannot_meet_is_one_line(scratch):
     with pytest.raises(UsageError, match="two teams"):
         cross_play([still])
     for settings, words in [
-        ({"task": "feeding"}, "task is scratch in still and feeding in expert"),
+        ({"task": "feeding"}, "task is scratch-v0 in still and feeding-v0 in expert"),
         ({"torque_scale": 0.5}, "env.torque_scale is 0.3 in still and 0.5 in expert"),
         ({"success_seconds": 1.0}, "task_config.success_seconds is 2.0 in still and 1.0 in expert"),
     ]:

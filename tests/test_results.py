@@ -120,7 +120,7 @@ def test_runs_that_differ_only_in_seeds_are_one_experiment(tmp_path):
         ({"env__human__preference": "sweep"}, lambda e: e.person == "preference=sweep" and e.preferring),
         ({"env__human__people": "paper630"}, lambda e: e.person == "people=paper630" and e.preferring),
         ({"env__human__disability": "tremor"}, lambda e: e.person == "disability=tremor" and not e.preferring),
-        ({"task": "feeding"}, lambda e: e.task == "feeding"),
+        ({"task": "feeding"}, lambda e: e.task == "feeding-v0"),
     ],
 )
 def test_other_differences_are_told_apart(settings, tell, tmp_path):
@@ -243,7 +243,7 @@ def test_the_table_is_what_can_be_worked_out_by_hand(tmp_path, monkeypatch, caps
         )
     cli.table(compare=True, json=True)
     said = json.loads(capsys.readouterr().out)
-    row = next(r for r in said["experiments"] if (r["task"], r["algorithm"]) == ("scratch", "ippo"))
+    row = next(r for r in said["experiments"] if (r["task"], r["algorithm"]) == ("scratch-v0", "ippo"))
     half = student_t(2.0) * 100 / np.sqrt(3)
     assert row["return"]["mean"] == 1000 and row["of_bound"] == 1.0
     assert row["of_expert"] == pytest.approx(1000 / 1180)
@@ -263,7 +263,7 @@ def test_the_table_is_what_can_be_worked_out_by_hand(tmp_path, monkeypatch, caps
     assert versus["probability_of_improvement"] == pytest.approx((8 / 9 + 6 / 9) / 2)
     cli.table(markdown=True)
     text = capsys.readouterr().out
-    assert "| scratch | ippo | default | none | 0.004 | 3 | 1000 [7" in text and "†" in text
+    assert "| scratch-v0 | ippo | default | none | 0.004 | 3 | 1000 [7" in text and "†" in text
     cli.table((tmp_path / "runs/scratch",))
     assert "100%" in capsys.readouterr().out
 
@@ -322,7 +322,7 @@ def test_panels_show_the_means_bands_and_references(tmp_path):
     found = pooled(*folders)
     figure = figures.learning_curves(found, RECORDS)
     scratch, feeding, whole = [axes for axes in figure.axes if axes.axison]
-    assert [axes.get_title() for axes in (scratch, feeding, whole)] == ["scratch", "feeding", "all 2 tasks"]
+    assert [axes.get_title() for axes in (scratch, feeding, whole)] == ["scratch-v0", "feeding-v0", "all 2 tasks"]
     assert scratch.get_ylabel() == "return, evaluation episodes"
     lines, bands, words = drawn(scratch)
     assert len(lines) == len(bands) == 2 and words == ["paper's bound", "expert"]
@@ -345,14 +345,14 @@ def test_one_seed_is_drawn_without_a_band_and_preferences_in_a_row_of_their_own(
     liked = write_run(tmp_path / "b", [500, 600, 700], env__human__preference="sweep")
     figure = figures.learning_curves(pooled(plain, liked), RECORDS)
     above, below = figure.axes
-    assert above.get_title().startswith("scratch\nno preference") and below.get_title() == "scratch\npreference=sweep"
+    assert above.get_title().startswith("scratch-v0\nno preference") and below.get_title() == "scratch-v0\npreference=sweep"
     assert above.get_subplotspec().rowspan.start == 0 and below.get_subplotspec().rowspan.start == 1
     assert drawn(above)[2] == ["paper's bound", "expert"] and drawn(below)[2] == ["paper's bound"]
     assert not any(np.isfinite(path.vertices).all() and len(path.vertices) for path in above.collections[0].get_paths())
     fed = write_run(tmp_path / "c", [1, 2, 3], task="feeding")
     liked = write_run(tmp_path / "d", [1, 2, 3], task="feeding", env__human__preference="sweep")
     folded = [axes for axes in figures.learning_curves(pooled(plain, fed, liked), RECORDS).axes if axes.axison]
-    assert [axes.get_title().split("\n")[0] for axes in folded] == ["scratch", "feeding", "all 2 tasks", "feeding"]
+    assert [axes.get_title().split("\n")[0] for axes in folded] == ["scratch-v0", "feeding-v0", "all 2 tasks", "feeding-v0"]
     assert [axes.get_subplotspec().colspan.start for axes in folded] == [0, 1, 2, 0]  # no hole before the last
 
 
