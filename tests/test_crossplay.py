@@ -8,6 +8,7 @@ from assistax.errors import UsageError
 from assistax.evaluation.playing import evaluate
 from assistax.learning.actors import Actor
 from assistax.policies import Player, scripted_policy, scripted_team
+from assistax.teamwork import crossplay
 from assistax.teamwork.crossplay import Entrant, cross_play, picture, table
 
 EPISODES = 3
@@ -21,7 +22,7 @@ def test_rows_are_robots_and_columns_persons_with_their_bodies(scratch):
     """Against pairs put together by hand."""
     trembling = assistax.make("scratch", engine="mujoco", episode_length=20, human={"disability": "tremor"})
     report = cross_play([entrant("random", scratch), entrant("withdraw", trembling)], EPISODES)
-    assert report["teams"] == ["random", "withdraw"] and report["task"] == "scratch-v0"
+    assert report["robots"] == report["persons"] == ["random", "withdraw"] and report["task"] == "scratch-v0"
     for i, robot in enumerate(("random", "expert")):
         for j, (human, env) in enumerate((("random", scratch), ("withdraw", trembling))):
             names = {"robot": robot, "human": human}
@@ -34,6 +35,36 @@ def test_rows_are_robots_and_columns_persons_with_their_bodies(scratch):
     assert len({a, b, c, d}) == 4  # else rows and columns could not be told apart
     np.testing.assert_allclose(report["self_play"]["return"], (a + d) / 2)
     np.testing.assert_allclose(report["cross_play"]["return"], (b + c) / 2)
+
+
+def test_a_player_of_several_teams_counts_once(scratch, monkeypatch):
+    """The still person of "still" and "expert"; what a pair comes to is told by who plays."""
+
+    class Told:
+        def __init__(self, env, episodes): ...
+        def __call__(self, team, seed):
+            return 10 * team["robot"].members + team["human"].members
+
+    def summary(value):
+        return {"mean_return": float(value), "success_rate": 0.0, "force": {"mean_in_contact": 0.0}}
+
+    monkeypatch.setattr(crossplay, "Evaluator", Told)
+    monkeypatch.setattr(crossplay, "summarize", summary)
+    policy = scripted_policy("still", scratch, "human")
+    teams = {name: {"robot": Player(policy, (), i), "human": Player(policy, (), i)} for i, name in enumerate("abc", 1)}
+    entrants = [
+        Entrant("a", scratch, teams["a"]),
+        Entrant("still", scratch, teams["b"], {"human": "nobody"}),
+        Entrant("expert", scratch, teams["c"] | {"human": teams["b"]["human"]}, {"human": "nobody"}),
+    ]
+    report = cross_play(entrants)
+    assert report["robots"] == ["a", "still", "expert"] and report["persons"] == ["a", "nobody"]
+    assert report["return"] == [[11, 12], [21, 22], [31, 32]]
+    assert report["self_play"]["return"] == (11 + 22 + 32) / 3 and report["cross_play"]["return"] == (12 + 21 + 31) / 3
+    head, cells = table(report)
+    assert head == ["robot of / person of", "a", "nobody"] and cells[2][0] == "expert"
+    with pytest.raises(UsageError, match="a is there twice"):
+        cross_play([entrants[0], entrants[0]])
 
 
 def test_what_cannot_meet_is_one_line(scratch):

@@ -345,14 +345,22 @@ def test_one_seed_is_drawn_without_a_band_and_preferences_in_a_row_of_their_own(
     liked = write_run(tmp_path / "b", [500, 600, 700], env__human__preference="sweep")
     figure = figures.learning_curves(pooled(plain, liked), RECORDS)
     above, below = figure.axes
-    assert above.get_title().startswith("scratch-v0\nno preference") and below.get_title() == "scratch-v0\npreference=sweep"
+    assert (
+        above.get_title().startswith("scratch-v0\nno preference")
+        and below.get_title() == "scratch-v0\npreference=sweep"
+    )
     assert above.get_subplotspec().rowspan.start == 0 and below.get_subplotspec().rowspan.start == 1
     assert drawn(above)[2] == ["paper's bound", "expert"] and drawn(below)[2] == ["paper's bound"]
     assert not any(np.isfinite(path.vertices).all() and len(path.vertices) for path in above.collections[0].get_paths())
     fed = write_run(tmp_path / "c", [1, 2, 3], task="feeding")
     liked = write_run(tmp_path / "d", [1, 2, 3], task="feeding", env__human__preference="sweep")
     folded = [axes for axes in figures.learning_curves(pooled(plain, fed, liked), RECORDS).axes if axes.axison]
-    assert [axes.get_title().split("\n")[0] for axes in folded] == ["scratch-v0", "feeding-v0", "all 2 tasks", "feeding-v0"]
+    assert [axes.get_title().split("\n")[0] for axes in folded] == [
+        "scratch-v0",
+        "feeding-v0",
+        "all 2 tasks",
+        "feeding-v0",
+    ]
     assert [axes.get_subplotspec().colspan.start for axes in folded] == [0, 1, 2, 0]  # no hole before the last
 
 

@@ -7,13 +7,15 @@ env = assistax.make("scratch")
 import ctypes
 import os
 import sys
+from importlib import metadata
 from typing import TYPE_CHECKING
 
 from assistax.errors import AssistaxError, SimulationError, UsageError
 
 if TYPE_CHECKING:
     from assistax.env import Env, EnvConfig, EnvState, make
-    from assistax.tasks import TASKS
+    from assistax.learning.algorithms import register_algorithm
+    from assistax.tasks import TASKS, register_task
 
 if sys.platform == "linux" and not os.environ.get("DISPLAY") and "MUJOCO_GL" not in os.environ:
     # Headless rendering. MuJoCo reads this when first imported, and fails then if the library is missing.
@@ -23,15 +25,35 @@ if sys.platform == "linux" and not os.environ.get("DISPLAY") and "MUJOCO_GL" not
     except OSError:
         pass  # everything but rendering works, which says what to install
 
-__all__ = ["TASKS", "AssistaxError", "Env", "EnvConfig", "EnvState", "SimulationError", "UsageError", "make"]
+__version__ = metadata.version("assistax")
+__all__ = [
+    "TASKS",
+    "AssistaxError",
+    "Env",
+    "EnvConfig",
+    "EnvState",
+    "SimulationError",
+    "UsageError",
+    "make",
+    "register_algorithm",
+    "register_task",
+]
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]
 
 
 def __getattr__(name: str):
     # JAX and MuJoCo take seconds to import; `assistax --help` should not.
-    if name == "TASKS":
-        from assistax.tasks import TASKS
+    if name in ("TASKS", "register_task"):
+        from assistax import tasks
 
-        return TASKS
+        return getattr(tasks, name)
+    if name == "register_algorithm":
+        from assistax.learning.algorithms import register_algorithm
+
+        return register_algorithm
     if name in __all__:
         from assistax import env
 

@@ -8,7 +8,7 @@ SEEDS = range(2**32)
 COUNT = range(1, 2**31)
 STEPS = range(2**53)
 
-STAMP: Schema = {"versions?": {str: str}, "commit?": (str, None), "hardware?": str}
+STAMP: Schema = {"versions?": {str: str}, "commit?": (str, None), "source?": str, "hardware?": str}
 _PERSON: Schema = {str: str}
 
 # config.json of a run, "config" in sweep.json, "team" in a team file. Other settings are checked by their dataclasses.

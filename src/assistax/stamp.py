@@ -1,5 +1,6 @@
 """Where a result comes from: versions, commit, hardware."""
 
+import hashlib
 import os
 import platform
 import resource
@@ -15,8 +16,8 @@ PACKAGES = ("assistax", "jax", "jaxlib", "mujoco", "mujoco-mjx", "warp-lang", "n
 
 @cache
 def stamp() -> dict[str, Any]:
-    """{"versions", "commit", "hardware"} of this process."""
-    return {"versions": versions(), "commit": commit(), "hardware": hardware()}
+    """{"versions", "commit", "source", "hardware"} of this process."""
+    return {"versions": versions(), "commit": commit(), "source": source_hash(), "hardware": hardware()}
 
 
 def versions() -> dict[str, str]:
@@ -29,14 +30,29 @@ def versions() -> dict[str, str]:
     return found
 
 
+@cache
+def source_hash() -> str:
+    """SHA-256, in short, of the package's own code and models: the same at every commit that does not change them."""
+    root, total = Path(__file__).parent, hashlib.sha256()
+    for path in sorted((*root.rglob("*.py"), *root.rglob("*.xml"))):
+        total.update(f"{path.relative_to(root).as_posix()}\0".encode() + path.read_bytes())
+    return total.hexdigest()[:16]
+
+
 def commit() -> str | None:
-    """The git commit this package is checked out at, with "+" if files differ; None if installed."""
+    """The git commit this package is checked out at, with "+" if files differ; None if installed.
+
+    A package that is installed somewhere inside another repository, as in a virtual environment, is not of that one's
+    commits: this file has to be one of its files.
+    """
+    here = Path(__file__)
 
     def git(*args):
-        command = ["git", "-C", str(Path(__file__).parent), *args]
+        command = ["git", "-C", str(here.parent), *args]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
 
     try:
+        git("ls-files", "--error-unmatch", here.name)
         dirty = "+" if git("status", "--porcelain", "--", ".") else ""
         return git("rev-parse", "--short=12", "HEAD") + dirty
     except (OSError, subprocess.CalledProcessError):

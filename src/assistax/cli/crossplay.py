@@ -75,5 +75,8 @@ def _entrants(targets: tuple[str, ...], engine: str | None, assignments: tuple[s
     env = next(iter(found.values()))[0].env
     for target in targets:
         if target in SCRIPTED:
-            found[target] = [Entrant(target, env, scripted_team(target, env))]
-    return [entrant for target in dict.fromkeys(targets) for entrant in found[target]]
+            players = dict(zip(env.agents, SCRIPTED[target], strict=True))
+            found[target] = [Entrant(target, env, scripted_team(target, env), players)]
+    if twice := [target for target in found if targets.count(target) > 1]:
+        raise UsageError(f"{twice[0]} is there twice; name every team once.")
+    return [entrant for target in targets for entrant in found[target]]

@@ -31,7 +31,7 @@ def plot(
       runs: run folders, or folders of finished ones (default: results and runs).
       by: what a panel is for: task or algorithm.
       metric: return, success, peak_force, task_return, preference_return or another that all runs have.
-      source: evaluation or training episodes (default: evaluation where all runs have it).
+      source: evaluation or training episodes (default: evaluation where there is any).
       scale: how returns of several tasks are put together: bound, expert or minmax (default: minmax where all have
         it, else bound).
       out: a .png, .svg or .pdf.

@@ -92,14 +92,15 @@ def learning_curves(
       by: "task": a panel per task, and with several tasks one with the interquartile mean over them, of methods that
         have them all; for each kind of person. "algorithm": a panel per method, with a curve per task.
       metric: of `Env.metrics`.
-      source: "evaluation" or "training" episodes; None: evaluation where all runs have it.
+      source: "evaluation" or "training" episodes; None: for each experiment evaluation, if all its runs have it.
       kind: of comparison.SCALES, to put returns of several tasks together; None: minmax where all have it, else bound.
     """
     choose("grouping", by, ["task", "algorithm"])
     check_comparable(found)
-    source = source or best_source(found)
+    sources = {e: source or best_source(e) for e in found}
+    source = " or ".join(sorted(set(sources.values())))
     label = f"{metric.replace('_', ' ')}, {source} episodes"
-    curves = {e: Curve(steps, [values]) for e in found for steps, values in [curve(e, metric, source)]}
+    curves = {e: Curve(steps, [values]) for e in found for steps, values in [curve(e, metric, sources[e])]}
     names, persons = _names(found), list(dict.fromkeys(e.person for e in found))
 
     def title(words, person):
@@ -248,7 +249,9 @@ def _caption(source: str, panels: Sequence[Panel]) -> str:
         words.append("IQM: interquartile mean over tasks and seeds.")
     if any(panel.label.startswith(SCALES["minmax"]) for panel in panels):
         words.append("Min-max: 0 the worst, 1 the best scripted policy.")
-    if source == "training":
+    if " or " in source:
+        words.append("Training episodes where a run has no evaluations.")
+    if "training" in source:
         words.append(f"Training samples actions; of more than {POINTS} iterations means over windows.")
     return " ".join(words)
 

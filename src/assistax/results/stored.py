@@ -262,10 +262,9 @@ SOURCES = {"evaluation": "evaluations", "training": "metrics"}
 POINTS = 100  # of a curve at most; between them training episodes are averaged
 
 
-def best_source(found: Sequence[Experiment]) -> str:
-    """ "evaluation" if all runs were evaluated while they trained, else "training"."""
-    evaluated = all(run.rows("evaluations") for experiment in found for run in experiment.runs)
-    return "evaluation" if evaluated else "training"
+def best_source(experiment: Experiment) -> str:
+    """ "evaluation" if all its runs were evaluated while they trained, else "training"."""
+    return "evaluation" if all(run.rows("evaluations") for run in experiment.runs) else "training"
 
 
 def curve(experiment: Experiment, metric: str, source: str) -> tuple[np.ndarray, np.ndarray]:

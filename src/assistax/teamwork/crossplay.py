@@ -6,7 +6,7 @@ meets the person of another tells how much of it was agreement.
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax
@@ -32,13 +32,18 @@ class Entrant:
     name: str
     env: Env
     team: Team
+    players: dict[str, str] = field(default_factory=dict)  # names by agent, where they are not the team's own
+
+    def player(self, agent: str) -> str:
+        """The player's name: of entrants whose players have one name, it is the same player."""
+        return self.players.get(agent, self.name)
 
 
 def cross_play(entrants: Sequence[Entrant], episodes: int = 64, seed: int = EVALUATION_SEED) -> dict[str, Any]:
     """Let every robot play with every person.
 
     The person brings body and preferences along: a pair plays in the environment of the person's team, all pairs
-    with the same draws.
+    with the same draws. A player that several teams have, as the still person of "still" and "expert", counts once.
 
     Args:
       entrants: two teams or more of one task.
@@ -46,43 +51,52 @@ def cross_play(entrants: Sequence[Entrant], episodes: int = 64, seed: int = EVAL
       seed: of the draws.
 
     Returns:
-      ready for JSON: "task", "episodes", "teams" (names); "return", "success" and "force_in_contact" (N), means over
-      episodes by [robot][person]; "self_play" and "cross_play", the same averaged over the pairs that belong together
-      and over the others.
+      ready for JSON: "task", "episodes", "robots" and "persons" (names); "return", "success" and "force_in_contact"
+      (N), means over episodes by [robot][person]; "self_play" and "cross_play", the same averaged over the pairs that
+      are a team and over the others (None if there are no others).
 
     Raises:
-      UsageError: fewer than two teams, or teams whose task, settings or observations differ.
+      UsageError: fewer than two teams, a team twice, or teams whose task, settings or observations differ.
     """
     _check(entrants)
-    evaluators: dict[int, Evaluator] = {}
-    matrices = {name: np.zeros((len(entrants),) * 2) for name in ("return", "success", "force_in_contact")}
+    robots = {entrant.player("robot"): entrant for entrant in reversed(entrants)}
+    persons = {(entrant.player("human"), str(_settings(entrant.env))): entrant for entrant in reversed(entrants)}
+    robots, persons = dict(reversed(robots.items())), dict(reversed(persons.items()))
+    teams = {(e.player("robot"), (e.player("human"), str(_settings(e.env)))) for e in entrants}
+    evaluators: dict[str, Evaluator] = {}
+    shape = len(robots), len(persons)
+    matrices = {name: np.zeros(shape) for name in ("return", "success", "force_in_contact")}
+    together = np.array([[(robot, person) in teams for person in persons] for robot in robots])
     steps = episodes * entrants[0].env.episode_length
-    with progress_bar(steps * len(entrants) ** 2, 0) as bar:
-        for i, robot in enumerate(entrants):
-            for j, human in enumerate(entrants):
-                env = next(e.env for e in entrants if _settings(e.env) == _settings(human.env))  # compiled once
-                team = {"robot": robot.team["robot"], "human": human.team["human"]}
-                evaluator = evaluators.setdefault(id(env), Evaluator(env, episodes))
-                said = summarize(evaluator(team, seed))
-                matrices["return"][i, j] = said["mean_return"]
-                matrices["success"][i, j] = said["success_rate"]
-                matrices["force_in_contact"][i, j] = said["force"]["mean_in_contact"]
+    with progress_bar(steps * together.size, 0) as bar:
+        for i, robot in enumerate(robots.values()):
+            for j, ((_, settings), human) in enumerate(persons.items()):
+                evaluator = evaluators.setdefault(settings, Evaluator(human.env, episodes))  # compiled once
+                played = summarize(evaluator({"robot": robot.team["robot"], "human": human.team["human"]}, seed))
+                matrices["return"][i, j] = played["mean_return"]
+                matrices["success"][i, j] = played["success_rate"]
+                matrices["force_in_contact"][i, j] = played["force"]["mean_in_contact"]
                 bar.update(steps)
-    together = np.eye(len(entrants), dtype=bool)
-    about: dict[str, Any] = {
-        "task": entrants[0].env.name,
-        "episodes": episodes,
-        "teams": [entrant.name for entrant in entrants],
-    }
+    about: dict[str, Any] = {"task": entrants[0].env.name, "episodes": episodes}
+    about |= {"robots": list(robots), "persons": [name for name, _ in persons]}
     about |= {name: matrix.tolist() for name, matrix in matrices.items()}
     for name, pairs in {"self_play": together, "cross_play": ~together}.items():
-        about[name] = {metric: float(matrix[pairs].mean()) for metric, matrix in matrices.items()}
+        means = {metric: float(matrix[pairs].mean()) for metric, matrix in matrices.items()} if pairs.any() else None
+        about[name] = means
     return about
+
+
+def _names(report: dict[str, Any]) -> tuple[list[str], list[str]]:
+    """Of rows and columns; older reports have a row and a column for every team."""
+    return report.get("robots") or report["teams"], report.get("persons") or report["teams"]
 
 
 def _check(entrants: Sequence[Entrant]) -> None:
     if len(entrants) < 2:
         raise UsageError("Cross-play takes two teams or more.")
+    names = [entrant.name for entrant in entrants]
+    if twice := [name for name in names if names.count(name) > 1]:
+        raise UsageError(f"{twice[0]} is there twice; name every team once.")
     first = entrants[0]
     for other in entrants[1:]:
         ours, theirs = _settings(first.env), _settings(other.env)
@@ -113,14 +127,16 @@ def _settings(env: Env) -> dict[str, Any]:
 
 def table(report: dict[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Head and cells of a report: return and success by pair, then with their own person and with the others'."""
-    names = report["teams"]
-    head = ["robot of / person of", *(str(j + 1) for j in range(len(names)))]
+    robots, persons = _names(report)
+    own_numbers = robots == persons
+    head = ["robot of / person of", *(str(j + 1) if own_numbers else name for j, name in enumerate(persons))]
     cells = []
-    for i, (name, *row) in enumerate(zip(names, report["return"], report["success"], strict=True)):
-        cells.append([f"{i + 1} {name}", *map(_cell, *row)])
+    for i, (name, *row) in enumerate(zip(robots, report["return"], report["success"], strict=True)):
+        cells.append([f"{i + 1} {name}" if own_numbers else name, *map(_cell, *row)])
     for kind in ("self_play", "cross_play"):
-        said = _cell(report[kind]["return"], report[kind]["success"])
-        cells.append([f"{kind.replace('_', '-')}, mean", said, *[""] * (len(names) - 1)])
+        if mean := report[kind]:
+            words = _cell(mean["return"], mean["success"])
+            cells.append([f"{kind.replace('_', '-')}, mean", words, *[""] * (len(persons) - 1)])
     return head, cells
 
 
@@ -130,9 +146,9 @@ def _cell(value: float, success: float) -> str:
 
 def picture(report: dict[str, Any], metric: str = "return") -> Figure:
     """The matrix of a report as the paper draws it: a row per robot, a column per person."""
-    matrix, names = np.array(report[metric]), report["teams"]
-    few = len(names) <= 8
-    inches = max(2.0, (0.6 if few else 0.25) * len(names))
+    matrix, (robots, persons) = np.array(report[metric]), _names(report)
+    few = max(matrix.shape) <= 8
+    inches = max(2.0, (0.6 if few else 0.25) * max(matrix.shape))
     with rc_context(STYLE | {"axes.grid": False}):
         figure = Figure(figsize=(inches + 2.5, inches + 1.2), layout="constrained")
         axes = figure.subplots()
@@ -142,8 +158,8 @@ def picture(report: dict[str, Any], metric: str = "return") -> Figure:
             colour = "white" if value < (low + high) / 2 else "black"
             words = f"{value:.0f}" if matrix.max() > 10 else f"{value:.2f}"
             axes.text(j, i, words, ha="center", va="center", size=8, color=colour)
-        axes.set_xticks(range(len(names)), names, rotation=45, ha="right")
-        axes.set_yticks(range(len(names)), names)
+        axes.set_xticks(range(len(persons)), persons, rotation=45, ha="right")
+        axes.set_yticks(range(len(robots)), robots)
         axes.set(xlabel="person of", ylabel="robot of", title=report["task"])
         figure.colorbar(shown, label=metric.replace("_", " "))
     return figure

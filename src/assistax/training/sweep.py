@@ -94,10 +94,12 @@ class Sweep:
 
     @classmethod
     def open(cls, folder: Path) -> "Sweep":
-        """Read a sweep folder; it must have been begun with the versions that are installed now."""
+        """Read a sweep folder; it must have been begun with the versions and the source that are installed now."""
         config, search, drawn, begun = read_sweep(folder)
         now = stamp()
-        there, here = (one["versions"] | {"commit": one["commit"]} for one in (begun, now))
+        # The commit changes with every page of the docs, the source does not; older sweeps know only the commit.
+        same = "source" if "source" in begun else "commit"
+        there, here = (one["versions"] | {same: one[same]} for one in (begun, now))
         if differ := [name for name in there | here if there.get(name) != here.get(name)]:
             words = ", ".join(f"{name} {there.get(name)}, now {here.get(name)}" for name in differ)
             raise UsageError(f"{folder} was begun with {words}. Go back to that, or start a new sweep.")
