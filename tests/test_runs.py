@@ -13,9 +13,12 @@ import jax
 import numpy as np
 import pytest
 from safetensors.numpy import load_file
+from stored import store_checkpoint
 
 from assistax.errors import UsageError
+from assistax.training import journal
 from assistax.training.configuration import configure
+from assistax.training.loop import train
 from assistax.training.partners import find_partner
 from assistax.training.run import Run
 from assistax.training.team_file import load_team, save_team
@@ -64,8 +67,7 @@ def test_what_an_algorithm_does_not_have_is_refused(settings, choices, words):
 
 def test_a_checkpoint_of_something_else_is_refused_and_kept(tmp_path):
     run = Run.create(small(), tmp_path / "run")
-    run._save(run.seeds.init(run.trainer.init), 0, _no_clock())
-    path = run.newest_checkpoint()
+    path = store_checkpoint(run, 0)
     before = path.read_bytes()
     config = json.loads((run.folder / "config.json").read_text())
     assert "sac" not in config and config["ppo"]["hidden"] == [8, 8]
@@ -83,7 +85,7 @@ def test_a_checkpoint_of_something_else_is_refused_and_kept(tmp_path):
             stored.pop("task_config")
             (run.folder / "config.json").write_text(json.dumps(stored))
         with pytest.raises(UsageError, match=path.name):
-            Run.open(run.folder).train()
+            train(Run.open(run.folder))
         assert path.read_bytes() == before and not list(run.folder.glob("*.part"))
 
 
@@ -93,7 +95,7 @@ def test_a_result_without_checkpoints_is_not_overwritten(tmp_path):
     (run.folder / "evaluations.jsonl").write_text('{"steps": 64}\n')
     files = {path: path.read_bytes() for path in run.folder.iterdir()}
     again = Run.open(run.folder, steps=10**6)
-    for use in (again.train, again.teams):
+    for use in (lambda: train(again), again.teams):
         with pytest.raises(UsageError, match="checkpoint"):
             use()
     assert {path: path.read_bytes() for path in run.folder.iterdir()} == files
@@ -105,12 +107,12 @@ def evaluated(tmp_path_factory):
     settings = SMALL | {"evaluations": 4, "evaluation_episodes": 3}
     config = configure("scratch", settings, num_envs=8, steps=5 * 64, num_seeds=2)
     run = Run.create(config, tmp_path_factory.mktemp("runs") / "evaluated")
-    return run, run.train()
+    return run, train(run)
 
 
 def test_evaluations_are_even_and_whole_and_the_last_is_the_summary(evaluated):
     run, summary = evaluated
-    rows = run.rows("evaluations")
+    rows = journal.read(run.folder, "evaluations")
     assert [(row["steps"], row["seed"]) for row in rows] == [(64 * i, seed) for i in (1, 2, 3, 5) for seed in (0, 1)]
     assert {len(values) for row in rows for part in ("episodes", "terms") for values in row[part].values()} == {3}
     for row, one in zip(rows[-2:], summary["evaluation"], strict=True):
@@ -142,7 +144,7 @@ def test_a_partner_comes_from_a_run(evaluated, tmp_path):
     partner = find_partner(str(run.folder), run.env, "human").player
     assert partner.members == 2 and not partner.policy.deterministic  # acts as it was trained
     new = Run.create(small(partners=(f"human={run.folder}",), steps=64), tmp_path / "new")
-    assert new.train() and new.trainer.learners == ("robot",)
+    assert train(new) and new.trainer.learners == ("robot",)
     team = new.teams()[0]
     assert team["robot"].policy.deterministic and team["human"].members == 2
     for mine, theirs in zip(jax.tree.leaves(team["human"].params), jax.tree.leaves(partner.params), strict=True):
@@ -173,9 +175,10 @@ class _no_clock:
 TRAIN = """
 import sys
 from pathlib import Path
-import assistax.training.run as runs
-runs.CHECKPOINT_SECONDS = 0.1
-runs.Run.open(Path(sys.argv[1])).train()
+import assistax.training.loop as loop
+from assistax.training.run import Run
+loop.CHECKPOINT_SECONDS = 0.1
+loop.train(Run.open(Path(sys.argv[1])))
 """
 
 
@@ -194,20 +197,20 @@ def test_kill_9_loses_at_most_the_work_since_the_last_checkpoint(tmp_path):
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
     metrics = folders[0] / "metrics.jsonl"
-    done = Run.open(folders[0]).rows("metrics")[-1]["steps"]
+    done = journal.read(folders[0], "metrics")[-1]["steps"]
     saved = max((folders[0] / "checkpoints").glob("*.safetensors"))
     assert 0 < int(saved.stem.split("_")[1]) <= done < 64 * 200
     with open(metrics, "a") as file:
         file.write('{"steps": 999')  # a line that the kill tore
     for folder in folders:
-        assert Run.open(folder).train()
+        assert train(Run.open(folder))
     killed, alone = (load_file(max((f / "checkpoints").glob("*.safetensors"))) for f in folders)
     assert killed.keys() == alone.keys() and any("gru" in name for name in alone)
     for name in alone:
         np.testing.assert_array_equal(killed[name], alone[name], err_msg=name)
-    rows = [[r["episode"]["return"] for r in Run.open(f).rows("metrics")] for f in folders]
+    rows = [[r["episode"]["return"] for r in journal.read(f, "metrics")] for f in folders]
     assert len(rows[0]) == 200 and rows[0] == rows[1]
-    evaluations = [Run.open(f).rows("evaluations") for f in folders]
+    evaluations = [journal.read(f, "evaluations") for f in folders]
     assert len(evaluations[0]) == 4 and evaluations[0] == evaluations[1]
     spent = json.loads((folders[1] / "summary.json").read_text())["seconds"]
     assert set(spent) == {"physics", "policy", "update", "evaluation"} and min(spent.values()) >= 0

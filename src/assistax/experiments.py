@@ -6,6 +6,7 @@ or not at all. So any machine at hand for some minutes is useful: `assistax repr
 
 import os
 import shutil
+import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -67,6 +68,7 @@ class Training:
 
     def advance(self, work: Path, seconds: float) -> list[Path] | None:
         from assistax.training.configuration import configure
+        from assistax.training.loop import train
         from assistax.training.run import Run
 
         if (work / "config.json").exists():
@@ -76,7 +78,7 @@ class Training:
             choices = {"algorithm": algorithm, "recurrent": bool(memory), "preset": self.preset}
             settings = PEOPLE[self.people] | {"evaluations": max(20, self.steps // 1_000_000)}
             run = Run.create(configure(f"{self.task}-v0", settings, steps=self.steps, seed=self.seed, **choices), work)
-        if run.train(seconds) is None:
+        if train(run, seconds) is None:
             return None
         return [work / name for name in KEPT]
 
@@ -179,7 +181,11 @@ def advance(chosen: list[Job], results: Path, work: Path, seconds: float) -> lis
         if (results / experiment.name).exists():
             continue
         print(f"{experiment.name} ({experiment.progress(work / experiment.name):.0%} done)", flush=True)
-        kept = experiment.advance(work / experiment.name, left)
+        try:
+            kept = experiment.advance(work / experiment.name, left)
+        except UsageError as error:  # of this one; the others can go on
+            print(f"{experiment.name}: {error}", file=sys.stderr)
+            continue
         if kept is None:
             break
         publish(kept, results / experiment.name)

@@ -27,6 +27,7 @@ CONFIG: Schema = {
     "ppo?": {"recurrent?": bool, "share_parameters?": bool},
     "sac?": {str: object},
     "stamp?": STAMP,
+    "resumed?": [{"steps": STEPS, "stamp": STAMP}],
 }
 
 _MEAN: Schema = {"mean": float}
@@ -63,7 +64,13 @@ TRIAL: Schema = {
     "failed": bool,
 }
 
-CHECKPOINT: Schema = {"task": str, "algorithm": str, "steps": STEPS, "seconds": {str: float}}
+CHECKPOINT: Schema = {
+    "task": str,
+    "algorithm": str,
+    "steps": STEPS,
+    "seconds": {str: float},
+    "settings?": {str: object},
+}
 TEAM: Schema = {"team": CONFIG}
 PARTNER: Schema = {"partner": CONFIG, "members": range(1, 10**4), "deterministic": bool}  # a run's copy of it
 UNFINISHED: Schema = {"trials": [[STEPS]], "points": [[[object]]], "seconds": {str: float}}  # trials of a sweep

@@ -20,6 +20,13 @@ def stamp() -> dict[str, Any]:
     return {"versions": versions(), "commit": commit(), "source": source_hash(), "hardware": hardware()}
 
 
+def stamp_changes(then: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """In words, what a stamp has that another has not: "mujoco 3.17.0, now 3.18.0". Hardware may differ."""
+    source = [name for name in ("source", "commit") if name in then][:1]  # the source, where both know it
+    there, here = (one.get("versions", {}) | {name: one.get(name) for name in source} for one in (then, now))
+    return [f"{name} {there[name]}, now {here.get(name)}" for name in there if there[name] != here.get(name)]
+
+
 def versions() -> dict[str, str]:
     found = {"python": platform.python_version()}
     for package in PACKAGES:

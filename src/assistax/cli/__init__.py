@@ -7,6 +7,7 @@ from typing import Any
 
 import tyro
 
+from assistax import __version__
 from assistax.cli.bench import bench
 from assistax.cli.crossplay import crossplay
 from assistax.cli.doctor import doctor
@@ -23,15 +24,30 @@ from assistax.cli.tasks import tasks
 from assistax.cli.train import train
 from assistax.errors import AssistaxError
 
+DESCRIPTION = "A robot arm and a person, both with policies of their own: train, evaluate, watch."
 COMMANDS = (
     *(train, sweep, play, evaluate, crossplay, render, table, plot),
     *(export, reproduce, tasks, humans, doctor, bench),
 )
 
 
+def overview() -> str:
+    """What `assistax --help` prints: a line for each command."""
+    lines = [f"  {command.__name__:11} {(command.__doc__ or '').partition(chr(10))[0]}" for command in COMMANDS]
+    return "\n".join(
+        ["usage: assistax COMMAND ...", "", DESCRIPTION, "", *lines, "", "assistax COMMAND --help explains."]
+    )
+
+
 def main() -> None:
     """Entry point of the `assistax` command."""
     commands: dict[str, Any] = {command.__name__: command for command in COMMANDS}
+    if sys.argv[1:] in ([], ["-h"], ["--help"]):
+        print(overview())
+        return
+    if sys.argv[1:] == ["--version"]:
+        print(f"assistax {__version__}")
+        return
     # Programs without physics are compiled once per machine; read when JAX is first imported.
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "assistax" / "jax"
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
@@ -39,9 +55,12 @@ def main() -> None:
         tyro.extras.subcommand_cli_from_dict(
             commands,
             prog="assistax",
-            description="A robot arm and a person, both with policies of their own: train, evaluate, watch.",
+            description=DESCRIPTION,
             config=(tyro.conf.FlagCreatePairsOff,),
         )
+    except KeyboardInterrupt:
+        print("assistax: stopped.", file=sys.stderr)
+        sys.exit(130)
     except AssistaxError as error:
         print(f"assistax: {error}", file=sys.stderr)
         sys.exit(2)

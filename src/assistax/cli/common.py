@@ -6,14 +6,37 @@ from typing import Annotated, Any
 
 import tyro
 from tyro.conf import arg
+from tyro.constructors import PrimitiveConstructorSpec
 
 from assistax.errors import UsageError
 
 Task = Annotated[str, tyro.conf.Positional]
 Target = Annotated[str, tyro.conf.Positional, arg(metavar="RUN|TASK")]
 Runs = Annotated[tuple[Path, ...], tyro.conf.Positional, arg(metavar="RUN ...")]
+# Optional arguments, whose defaults the descriptions tell in words.
+Name = Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")]
+File = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
+Number = Annotated[
+    int | None,
+    arg(metavar="N", help_behavior_hint=""),
+    PrimitiveConstructorSpec(
+        nargs=1,
+        metavar="N",
+        instance_from_str=lambda words: whole_number(words[0]),
+        is_instance=lambda value: value is None or isinstance(value, int),
+        str_from_instance=lambda value: [str(value)],
+    ),
+]
 Json = Annotated[bool, arg(name="json")]
 Set = Annotated[tuple[str, ...], arg(name="set", metavar="NAME=VALUE ...")]
+
+
+def whole_number(text: str) -> int:
+    """ "1000000", "1_000_000", "1e6" or "2.5e6"; raises ValueError for what is not whole."""
+    value = float(text)
+    if not value.is_integer():
+        raise ValueError(f"{text} is not a whole number")
+    return int(value) if (abs(value) < 2**53 and "e" in text.lower()) or "." in text else int(text)
 
 
 def teams_of(target: str, policy: str | None, engine: str | None, assignments: tuple[str, ...]):

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from assistax.cli.common import Json, Set, aligned, print_json, teams_of
+from assistax.cli.common import File, Json, Name, Number, Set, aligned, print_json, teams_of
 from assistax.errors import UsageError
 
 Targets = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN|TASK|POLICY ...")]
@@ -15,10 +15,10 @@ def crossplay(
     targets: Targets,
     *,
     episodes: int = 64,
-    engine: str | None = None,
-    seed: int | None = None,
+    engine: Name = None,
+    seed: Number = None,
     set: Set = (),
-    out: Path | None = None,
+    out: File = None,
     json: Json = False,
 ) -> None:
     """Let the robot of every team play with the person of every team, as in the paper's cross-play matrices.

@@ -1,15 +1,15 @@
 """`assistax evaluate`."""
 
-from assistax.cli.common import Json, Set, Target, print_json, print_table, teams_of
+from assistax.cli.common import Json, Name, Number, Set, Target, print_json, print_table, teams_of
 
 
 def evaluate(
     target: Target,
     *,
-    policy: str | None = None,
+    policy: Name = None,
     episodes: int = 64,
-    engine: str | None = None,
-    seed: int | None = None,
+    engine: Name = None,
+    seed: Number = None,
     set: Set = (),
     json: Json = False,
 ) -> None:

@@ -6,10 +6,11 @@ from typing import Annotated
 
 import tyro
 
+from assistax.cli.common import Number
 from assistax.errors import UsageError
 
 
-def export(run: Annotated[Path, tyro.conf.Positional], *, out: Path, seed: int | None = None) -> None:
+def export(run: Annotated[Path, tyro.conf.Positional], *, out: Path, seed: Number = None) -> None:
     """Write the trained team of a run into one small file, which plays without the run folder.
 
     Args:

@@ -1,16 +1,14 @@
 """`assistax play`."""
 
-from pathlib import Path
-
-from assistax.cli.common import Set, Task, film_episode, film_path, print_table, teams_of
+from assistax.cli.common import File, Name, Set, Task, film_episode, film_path, print_table, teams_of
 
 
 def play(
     task: Task,
     *,
     episodes: int = 16,
-    out: Path | None = None,
-    engine: str | None = None,
+    out: File = None,
+    engine: Name = None,
     set: Set = (),
 ) -> None:
     """See the trained team that comes with a task: how it does, and a film of it.

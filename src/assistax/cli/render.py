@@ -1,17 +1,15 @@
 """`assistax render`."""
 
-from pathlib import Path
-
-from assistax.cli.common import Set, Target, film_episode, film_path, teams_of
+from assistax.cli.common import File, Name, Number, Set, Target, film_episode, film_path, teams_of
 
 
 def render(
     target: Target,
     *,
-    out: Path | None = None,
-    policy: str | None = None,
-    engine: str | None = None,
-    seed: int | None = None,
+    out: File = None,
+    policy: Name = None,
+    engine: Name = None,
+    seed: Number = None,
     set: Set = (),
     width: int = 640,
     height: int = 480,

@@ -3,10 +3,11 @@
 import re
 from pathlib import Path
 
+from assistax.cli.common import Name
 from assistax.errors import UsageError
 
 
-def reproduce(*, budget: str | None = None, only: str | None = None, seeds: int = 1) -> None:
+def reproduce(*, budget: Name = None, only: Name = None, seeds: int = 1) -> None:
     """List the experiments behind the results and how far they are; with a budget, go on with them.
 
     What is finished goes to results/; unfinished runs wait in runs/reproduce/ for the next time.

@@ -1,36 +1,35 @@
 """`assistax sweep`."""
 
 import sys
-from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
-from assistax.cli.common import Set, free_folder
+from assistax.cli.common import File, Name, Number, Set, free_folder
 from assistax.errors import UsageError
 
 Search = Annotated[tuple[str, ...], tyro.conf.arg(name="search", metavar="NAME=LOW:HIGH|A,B ...")]
 
 
 def sweep(
-    task: Annotated[str | None, tyro.conf.Positional] = None,
+    task: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="TASK", help_behavior_hint="")] = None,
     *,
-    algorithm: str | None = None,
+    algorithm: Name = None,
     recurrent: bool = False,
     share_parameters: bool = False,
-    configs: int | None = None,
-    seeds: int | None = None,
-    steps: int | None = None,
-    num_envs: int | None = None,
-    seed: int | None = None,
-    engine: str | None = None,
-    preset: str | None = None,
+    configs: Number = None,
+    seeds: Number = None,
+    steps: Number = None,
+    num_envs: Number = None,
+    seed: Number = None,
+    engine: Name = None,
+    preset: Name = None,
     partner: tuple[str, ...] = (),
     search: Search = (),
     set: Set = (),
-    out: Path | None = None,
-    side_by_side: int | None = None,
-    resume: Path | None = None,
+    out: File = None,
+    side_by_side: Number = None,
+    resume: File = None,
 ) -> None:
     """Search for hyperparameters at random, and rank them by the area under the return curve.
 
@@ -52,7 +51,7 @@ def sweep(
       share_parameters: one network for both, told who it plays; ippo and mappo.
       configs: how many configurations are drawn (default 168, as in the paper).
       seeds: how many times each is trained (default 12, as in the paper).
-      steps: environment steps per trial (default 6 million).
+      steps: environment steps per trial (default 5 million).
       num_envs: environments side by side, per trial (default 256; 1024 with the paper's preset of ippo and mappo).
       seed: of the draw, and the first one to train with (default 0).
       engine: auto (default), mujoco, warp or mjx.

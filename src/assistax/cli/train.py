@@ -1,31 +1,31 @@
 """`assistax train`."""
 
+import shutil
 import sys
-from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
 
-from assistax.cli.common import Set, free_folder
+from assistax.cli.common import File, Name, Number, Set, free_folder
 from assistax.errors import UsageError
 
 
 def train(
-    task: Annotated[str | None, tyro.conf.Positional] = None,
+    task: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="TASK", help_behavior_hint="")] = None,
     *,
-    algorithm: str | None = None,
+    algorithm: Name = None,
     recurrent: bool = False,
     share_parameters: bool = False,
-    steps: int | None = None,
-    num_envs: int | None = None,
-    seed: int | None = None,
-    num_seeds: int | None = None,
-    engine: str | None = None,
-    preset: str | None = None,
+    steps: Number = None,
+    num_envs: Number = None,
+    seed: Number = None,
+    num_seeds: Number = None,
+    engine: Name = None,
+    preset: Name = None,
     partner: tuple[str, ...] = (),
-    out: Path | None = None,
+    out: File = None,
     set: Set = (),
-    resume: Path | None = None,
+    resume: File = None,
 ) -> None:
     """Train robot and human together, then evaluate and film them.
 
@@ -47,7 +47,7 @@ def train(
       algorithm: ippo (default), mappo, masac or isac.
       recurrent: networks with memory (GRU); ippo and mappo.
       share_parameters: one network for both, told who it plays; ippo and mappo.
-      steps: environment steps per seed (default 6 million; the paper trains for 40 million).
+      steps: environment steps per seed (default 5 million; the paper trains for 40 million).
       num_envs: environments side by side, per seed (default 256; 1024 with the paper's preset of ippo and mappo).
       seed: first random seed (default 0).
       num_seeds: independent runs in one program, with seeds S, S+1, ... (default 1).
@@ -63,6 +63,7 @@ def train(
     from assistax.files import writing
     from assistax.settings import parse_assignments
     from assistax.training.configuration import configure
+    from assistax.training.loop import train as training
     from assistax.training.run import Run
 
     if resume is not None:
@@ -83,13 +84,19 @@ def train(
         name = f"{task}-{config.algorithm}{'-rnn' * recurrent}{'-shared' * share_parameters}-{config.seed}"
         run = Run.create(config, out or free_folder(name))
     print(f"{run.config.task} on the {run.env.engine.name} engine, into {run.folder}", file=sys.stderr)
-    with writing(run.folder):
-        summary = run.train()
+    try:
+        with writing(run.folder):
+            summary = training(run)
+    except KeyboardInterrupt:
+        if run.newest_checkpoint() is None:
+            shutil.rmtree(run.folder, ignore_errors=True)  # nothing is lost
+        raise
     if summary is None:
         print(f"Stopped and saved. Continue with: assistax train --resume {run.folder}", file=sys.stderr)
         sys.exit(130)
     print(
         f"return {summary['mean_return']:.0f}, success {summary['success_rate']:.0%} over "
-        f"{run.config.evaluation_episodes} episodes, {summary['env_steps_per_s']} env steps/s. "
+        f"{run.config.evaluation_episodes} evaluation episodes, played without noise (the bar's are of "
+        f"training, with noise), {summary['env_steps_per_s']} env steps/s. "
         f"See {run.folder}/learning_curve.png and rollout.mp4."
     )

@@ -115,7 +115,8 @@ def describe(experiment: Experiment, records: Sequence[dict[str, Any]]) -> dict[
     row["success"] = estimate([experiment.final("success_rate")], least=0.0, most=1.0)
     row["force_in_contact"] = estimate([experiment.final("force", "mean_in_contact")], least=0.0)
     row["peak_force"] = estimate([experiment.final("outcomes", "peak_force", "mean")], least=0.0)
-    about = {name: [run.stamp.get(name) for run in runs] for name in ("commit", "versions", "hardware")}
+    about = {name: [run.origin(name) for run in runs] for name in ("commit", "hardware")}
+    about["versions"] = [run.stamp.get("versions") for run in runs]
     return row | {"settings": runs[0].settings, "runs": [str(run.folder) for run in runs], **about}
 
 

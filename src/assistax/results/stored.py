@@ -46,7 +46,9 @@ class StoredRun:
             config["task"] = choose("task", stored_task(config["task"]), TASKS)
         except UsageError as error:
             raise UsageError(f"Cannot read {path}: {error}") from None
-        return cls(folder, dict(flat(config)), config.pop("stamp", {}))
+        stamp = config.pop("stamp", {})
+        config.pop("resumed", None)
+        return cls(folder, dict(flat(config)), stamp)
 
     @cached_property
     def seeds(self) -> list[int]:
@@ -60,6 +62,13 @@ class StoredRun:
         if summary and len(summary["evaluation"]) != len(self.seeds):
             raise UsageError(f"{path} is not of the {len(self.seeds)} seeds that config.json is of.")
         return summary
+
+    def origin(self, *names: str) -> Any:
+        """Of the stamp ("versions", "jax"): that of the beginning and, if it was another at the end, "A, then B"."""
+        then, now = self.stamp, self.summary
+        for name in names:
+            then, now = (one.get(name) if one else None for one in (then, now))
+        return then if now in (None, then) else f"{then}, then {now}"
 
     @property
     def identity(self) -> Any:
@@ -242,10 +251,10 @@ def scales_return(name: str) -> bool:
 def differences(found: Sequence[Experiment]) -> list[str]:
     """In what the runs differ that is no setting: sentences for the reader."""
     runs = [run for experiment in found for run in experiment.runs]
-    origins = {what: [run.stamp.get(what) for run in runs] for what in ("commit", "hardware")}
+    origins = {what: [run.origin(what) for run in runs] for what in ("commit", "hardware")}
     origins["engine"] = [run.summary.get("engine", run.settings.get("engine")) for run in runs]
     for package in ("assistax", "mujoco", "jax"):
-        origins[package] = [run.stamp.get("versions", {}).get(package) for run in runs]
+        origins[package] = [run.origin("versions", package) for run in runs]
     counts = {what: Counter(values) for what, values in origins.items()}
     return [
         f"The runs differ in {what}: "

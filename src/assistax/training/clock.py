@@ -1,9 +1,11 @@
 """Where a training's time goes, how far it is, and when it has to stop."""
 
 import math
+import os
 import signal
 import sys
 import time
+from typing import Any
 
 from tqdm import tqdm
 
@@ -38,26 +40,42 @@ def progress_bar(total: int, done: int) -> tqdm:
 
 
 class Stop:
-    """Asks to stop after this iteration: at the first Ctrl-C (the second one interrupts), or after `seconds`."""
+    """Asks to stop after this iteration: at Ctrl-C, SIGTERM or SIGHUP, or after `seconds`.
+
+    Another signal interrupts at once, but for those that come within a second: `timeout` and terminals send a program
+    and its group one each.
+    """
+
+    SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
+    TOGETHER = 1.0  # s
 
     def __init__(self, seconds: float = math.inf):
         self._deadline = time.monotonic() + seconds
+        self._first: float | None = None
+        self._before: dict[int, Any] = {}
 
     @property
     def asked(self) -> bool:
-        return time.monotonic() > self._deadline
+        return self._first is not None or time.monotonic() > self._deadline
+
+    def _ask(self, *_) -> None:
+        now = time.monotonic()
+        if self._first is None:
+            self._first = now
+            os.write(2, b"\nStopping after this iteration; once more stops at once.\n")  # safe in a signal handler
+        elif now - self._first > self.TOGETHER:
+            raise KeyboardInterrupt
 
     def __enter__(self):
-        def ask(*_):
-            self._deadline = -math.inf
-            signal.signal(signal.SIGINT, self._before)
-
-        try:
-            self._before = signal.signal(signal.SIGINT, ask)
-        except ValueError:  # not the main thread: then nobody sends us Ctrl-C
-            self._before = None
+        for name in self.SIGNALS:
+            number = getattr(signal, name, None)
+            try:
+                if number is not None:
+                    self._before[number] = signal.signal(number, self._ask)
+            except ValueError:  # not the main thread: then nobody sends us signals
+                pass
         return self
 
     def __exit__(self, *_):
-        if self._before is not None:
-            signal.signal(signal.SIGINT, self._before)
+        for number, before in self._before.items():
+            signal.signal(number, before)

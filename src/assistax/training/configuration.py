@@ -112,7 +112,7 @@ def stored_config(stored: Mapping[str, Any], source: str) -> TrainConfig:
     try:
         spec = task_spec(stored_task(stored["task"]))
         blank = TrainConfig(spec.id, stored.get("algorithm", "ippo"), task_config=spec.config)
-        return with_settings(blank, {k: v for k, v in stored.items() if k not in ("task", "stamp")})
+        return with_settings(blank, {k: v for k, v in stored.items() if k not in ("task", "stamp", "resumed")})
     except UsageError as error:
         raise UsageError(f"Cannot read {source}: {error}") from None
 

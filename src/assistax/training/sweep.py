@@ -36,12 +36,13 @@ from assistax.physics import check_faults
 from assistax.physics.engine import UNSTABLE
 from assistax.results.figures import save as save_figure
 from assistax.settings import with_settings
-from assistax.stamp import stamp
+from assistax.stamp import stamp, stamp_changes
 from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint
 from assistax.training.clock import Clock, Stop, progress_bar
 from assistax.training.configuration import TrainConfig, stored_config, to_json
+from assistax.training.loop import CHECKPOINT_SECONDS
 from assistax.training.partners import keep_partners
-from assistax.training.run import CHECKPOINT_SECONDS, Run
+from assistax.training.run import Run
 from assistax.training.search import Search, draw, intervals
 from assistax.training.seeds import Lanes
 from assistax.training.sweep_figures import facets, overview
@@ -96,13 +97,8 @@ class Sweep:
     def open(cls, folder: Path) -> "Sweep":
         """Read a sweep folder; it must have been begun with the versions and the source that are installed now."""
         config, search, drawn, begun = read_sweep(folder)
-        now = stamp()
-        # The commit changes with every page of the docs, the source does not; older sweeps know only the commit.
-        same = "source" if "source" in begun else "commit"
-        there, here = (one["versions"] | {same: one[same]} for one in (begun, now))
-        if differ := [name for name in there | here if there.get(name) != here.get(name)]:
-            words = ", ".join(f"{name} {there.get(name)}, now {here.get(name)}" for name in differ)
-            raise UsageError(f"{folder} was begun with {words}. Go back to that, or start a new sweep.")
+        if differ := stamp_changes(begun, stamp()):
+            raise UsageError(f"{folder} was begun with {', '.join(differ)}. Go back to that, or start a new sweep.")
         return cls(folder, config, search, drawn)
 
     def trials(self) -> dict[Trial, dict[str, Any]]:

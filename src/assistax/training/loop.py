@@ -1,0 +1,239 @@
+"""The training loop: collect, improve, write down, evaluate, save, until it is done or has to stop."""
+
+import json
+import math
+import sys
+import time
+from collections.abc import Iterable
+from typing import Any
+
+import jax
+import numpy as np
+
+from assistax.errors import UsageError
+from assistax.evaluation.film import film
+from assistax.evaluation.playing import Evaluator, by_episode, summarize, typical
+from assistax.files import write_json
+from assistax.physics import check_faults
+from assistax.policies import Team
+from assistax.results.figures import learning_curve
+from assistax.results.stored import flat
+from assistax.stamp import peak_memory_mb, stamp
+from assistax.training import journal
+from assistax.training.checkpoint import load_checkpoint, save_checkpoint
+from assistax.training.clock import Clock, Stop, progress_bar
+from assistax.training.configuration import to_json
+from assistax.training.journal import Journal
+from assistax.training.lock import locked
+from assistax.training.run import Run
+from assistax.training.run_folder import check_checkpoint
+
+CHECKPOINT_SECONDS = 60.0
+# Settings that may change while a run goes on: how long it lasts, how it is watched, what computes it.
+_FREE = {"steps", "evaluations", "evaluation_episodes", "deterministic", "engine", "env.num_threads", "partners"}
+
+
+def train(run: Run, seconds: float = math.inf) -> dict[str, Any] | None:
+    """Train from the newest checkpoint, if there is one, to the end: the summary.
+
+    None if it had to stop and save before, because of Ctrl-C or another signal, or because `seconds` have passed.
+
+    Raises:
+      UsageError: the run cannot go on as it is asked to; nothing was changed then.
+    """
+    if not (run.folder / "checkpoints").is_dir():
+        raise UsageError(f"{run.folder} is a result without checkpoints, which cannot go on; train anew with --out.")
+    with locked(run.folder):
+        return _Training(run, Stop(seconds)).go()
+
+
+class _Training:
+    """One process's work on a run."""
+
+    def __init__(self, run: Run, stop: Stop):
+        self.run, self.stop = run, stop
+        self.trainer, self.seeds, self.engine = run.trainer, run.seeds, run.env.engine
+        self.evaluator = Evaluator(run.env, run.config.evaluation_episodes)
+
+    def go(self) -> dict[str, Any] | None:
+        run, per_iteration = self.run, self.run.steps_per_iteration
+        with self.stop:
+            state, done, self.clock = self._start()
+            collect, improve = self.seeds.jit(self.trainer.collect), self.seeds.jit(self.trainer.improve)
+            total = run.iterations * per_iteration * run.config.num_seeds
+            collecting = "policy" if self.engine.name == "mujoco" else "collect"  # others are part of the same program
+            saved = -math.inf  # the first iteration is saved at once, so that a run can always go on
+            leave = done == run.iterations
+            with (
+                Journal(run.folder, "metrics") as self.metrics,
+                Journal(run.folder, "evaluations") as self.evaluations,
+                progress_bar(total, done * total // run.iterations) as bar,
+            ):
+                if not leave:
+                    bar.set_description_str("compiling, some ten seconds")
+                while not leave:
+                    before = self.engine.seconds
+                    with self.clock(collecting):
+                        state, batch = jax.block_until_ready(collect(state))
+                    self.clock.move(collecting, "physics", self.engine.seconds - before)
+                    batches = self.seeds.each(batch)
+                    for one in batches:
+                        check_faults(one["log"]["fault"], self.engine.name)
+                    with self.clock("update"):
+                        state, losses = jax.block_until_ready(improve(state, batch))
+                    done += 1
+                    rows = self._rows(done, [one["log"] for one in batches], self.seeds.each(losses))
+                    self.metrics.write(rows)
+                    bar.set_description_str("", refresh=False)
+                    bar.update(total // run.iterations)
+                    if ended := [row for row in rows if row["episodes"]]:
+                        mean = np.mean([row["episode"]["return"] for row in ended])
+                        success = np.mean([row["episode"]["success"] for row in ended])
+                        bar.set_postfix_str(f"return {mean:.0f}, success {success:.0%}", refresh=False)
+                    if done in run.evaluate_at:
+                        with self.clock("evaluation"):
+                            self._evaluate(done, map(run.team, self.seeds.each(state)))
+                    leave = done == run.iterations or self.stop.asked
+                    if leave or time.monotonic() - saved > CHECKPOINT_SECONDS:
+                        self._save(state, done)
+                        saved = time.monotonic()
+            return self._finish() if done == run.iterations else None
+
+    # -- the beginning -------------------------------------------------------------------------
+
+    def _start(self) -> tuple[Any, int, Clock]:
+        """The newest checkpoint's state, or a fresh one; the iterations done and the time spent so far."""
+        run, path = self.run, self.run.newest_checkpoint()
+        if path is None:
+            if any(journal.read(run.folder, name) for name in ("metrics", "evaluations")):
+                raise UsageError(
+                    f"{run.folder} has results but no checkpoint to go on from. Put its checkpoints back, or remove "
+                    "the folder and train anew."
+                )
+            run.write_config()
+            return self.seeds.init(self.trainer.init), 0, Clock({})
+        about = check_checkpoint(path, run.config)
+        _check_settings(run, about.get("settings", {}), path.name)
+        done, over = divmod(about["steps"], run.steps_per_iteration)
+        if over:
+            raise UsageError(
+                f"{path} is at step {about['steps']}, which no iteration of {run.steps_per_iteration} steps ends at: "
+                "config.json was changed; put it back."
+            )
+        if done > run.iterations:
+            raise UsageError(
+                f"{run.folder} has been trained for {about['steps']} steps, which is more than --steps "
+                f"{run.config.steps}; name more steps, or leave --steps out."
+            )
+        state = self.seeds.split(load_checkpoint(path, self.seeds.like(self.trainer.init)))
+        run.write_config(about["steps"])
+        for name in ("metrics", "evaluations"):
+            journal.keep(run.folder, name, about["steps"])
+        if gap := self._missing(done)["metrics"]:
+            print(f"{run.folder}/metrics.jsonl lacks {gap} rows; curves have a gap there.", file=sys.stderr)
+        return state, done, Clock(about["seconds"])
+
+    def _missing(self, done: int) -> dict[str, int]:
+        """By file, the rows that are not there."""
+        run = self.run
+        wanted = {"metrics": range(1, done + 1), "evaluations": [i for i in run.evaluate_at if i <= done]}
+        return {
+            name: journal.missing(run.folder, name, [i * run.steps_per_iteration for i in at], self.seeds.seeds)
+            for name, at in wanted.items()
+        }
+
+    # -- on the way ----------------------------------------------------------------------------
+
+    def _rows(self, done: int, logs, losses) -> list[dict]:
+        """One row of metrics.jsonl per seed."""
+        steps, spent = done * self.run.steps_per_iteration, sum(self.clock.seconds.values())
+        about = {"steps": steps, "seconds": round(spent, 3)}
+        plain = jax.tree.map(lambda x: np.asarray(x).item(), list(zip(self.seeds.seeds, logs, losses, strict=True)))
+        return [about | {"seed": seed} | log | {"losses": loss} for seed, log, loss in plain]
+
+    def _evaluate(self, done: int, teams: Iterable[Team]) -> list[dict[str, Any]]:
+        """Play the evaluation with each seed's team and write down the episodes; returns what an Evaluator does."""
+        results = []
+        for seed, team in zip(self.seeds.seeds, teams, strict=True):
+            result = self.evaluator(team)
+            found = by_episode(result)
+            about = {"steps": done * self.run.steps_per_iteration, "seed": seed}
+            about |= {"deterministic": self.run.config.deterministic}
+            self.evaluations.write([about | {"episodes": found["metrics"], "terms": found["terms"]}])
+            results.append(result)
+        return results
+
+    def _save(self, state: Any, done: int) -> None:
+        """A checkpoint, and before it on the disk all rows that it knows of."""
+        self.metrics.sync()
+        self.evaluations.sync()
+        config, steps = self.run.config, done * self.run.steps_per_iteration
+        about = {"task": config.task, "algorithm": config.algorithm, "steps": steps, "settings": _settings(self.run)}
+        folder = self.run.folder / "checkpoints"
+        path = folder / f"step_{steps:012d}.safetensors"
+        save_checkpoint(path, self.seeds.join(state), about | {"seconds": self.clock.seconds})
+        for old in sorted(folder.glob("step_*.safetensors"))[:-2]:
+            old.unlink()
+
+    # -- the end -------------------------------------------------------------------------------
+
+    def _finish(self) -> dict[str, Any]:
+        """Write summary, curve and film of a finished run; returns the summary."""
+        run, config = self.run, self.run.config
+        print("Evaluating and filming.", file=sys.stderr)  # in software, 200 frames take their time
+        journal.keep(run.folder, "evaluations", (run.iterations - 1) * run.steps_per_iteration)  # the last is made anew
+        with Journal(run.folder, "evaluations") as self.evaluations:
+            results = self._evaluate(run.iterations, run.teams())
+        each = [summarize(result) for result in results]
+        spent = self.clock.seconds
+        steps = run.iterations * run.steps_per_iteration
+        summary = {
+            "task": config.task,
+            "algorithm": config.algorithm,
+            "preset": config.preset,
+            "engine": self.engine.name,
+            "steps": steps,
+            "num_envs": config.num_envs,
+            "seeds": list(config.seeds),
+            "success_rate": float(np.mean([one["success_rate"] for one in each])),
+            "mean_return": float(np.mean([one["mean_return"] for one in each])),
+            "env_steps_per_s": round(steps * config.num_seeds / max(sum(spent.values()), 1e-9)),
+            "seconds": {name: round(value, 1) for name, value in spent.items() if value},
+            "peak_memory_mb": round(peak_memory_mb()),
+            "evaluation": each,
+            **stamp(),
+        }
+        if gaps := {name: count for name, count in self._missing(run.iterations).items() if count}:
+            summary["missing_rows"] = gaps
+        write_json(run.folder / "summary.json", summary)
+        title = f"{config.task}, {config.algorithm} ({config.preset} preset), {steps / 1e6:.1f} M steps"
+        learning_curve(journal.read(run.folder, "metrics"), title, run.folder / "learning_curve.png")
+        result, episode = results[0], typical(results[0])
+        on = result["playing"][episode]
+        try:
+            film(
+                config.task,
+                result["qpos"][episode][on],
+                result["marker"][episode][on],
+                run.env.dt,
+                run.folder / "rollout.mp4",
+            )
+        except UsageError as error:  # a machine that cannot render can still train
+            print(f"No film: {error}", file=sys.stderr)
+        return summary
+
+
+def _settings(run: Run) -> dict[str, Any]:
+    """By full name, the settings that must not change while a run goes on."""
+    settings = flat(json.loads(json.dumps(to_json(run.config))))
+    return {name: value for name, value in settings if name not in _FREE}
+
+
+def _check_settings(run: Run, then: dict[str, Any], checkpoint: str) -> None:
+    now = _settings(run)
+    if changed := [name for name in then if name in now and then[name] != now[name]]:
+        name = changed[0]
+        raise UsageError(
+            f"{run.folder}/config.json was changed: {name} is {now[name]}, and was {then[name]} when {checkpoint} was "
+            "written; put it back, or train anew."
+        )

@@ -1,0 +1,110 @@
+"""What a training does when it is stopped, prolonged, moved on to another version, or found with parts missing."""
+
+import json
+import os
+import shutil
+import signal
+import time
+
+import pytest
+from stored import small, store_checkpoint, stored_run
+
+from assistax.errors import UsageError
+from assistax.training import journal, loop
+from assistax.training.clock import Stop
+from assistax.training.lock import locked
+from assistax.training.loop import train
+from assistax.training.run import Run
+
+
+def files(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_fewer_steps_than_are_done_are_refused(tmp_path):
+    run = stored_run(tmp_path / "run", small(steps=640))
+    store_checkpoint(run, 320)
+    before = files(run.folder)
+    with pytest.raises(UsageError, match="trained for 320 steps, which is more than --steps 128"):
+        train(Run.open(run.folder, steps=128))
+    assert files(run.folder) == before
+
+
+def test_results_without_a_checkpoint_are_not_overwritten(tmp_path):
+    run = stored_run(tmp_path / "run", small())
+    run.newest_checkpoint().unlink()
+    (run.folder / "metrics.jsonl").write_text(
+        json.dumps({"steps": 64, "seed": 0, "episodes": 0, "episode": {}, "reward": {}}) + "\n"
+    )
+    before = files(run.folder)
+    with pytest.raises(UsageError, match="no checkpoint to go on from"):
+        train(Run.open(run.folder))
+    assert files(run.folder) == before
+
+
+def test_settings_that_were_changed_since_the_checkpoint_are_refused(tmp_path):
+    run = stored_run(tmp_path / "run", small(steps=640))
+    path = run.newest_checkpoint()
+    metadata = {"task": "scratch-v0", "algorithm": "ippo", "steps": 64, "seconds": {}}
+    loop.save_checkpoint(path, {}, metadata | {"settings": loop._settings(run)})
+    stored = json.loads((run.folder / "config.json").read_text())
+    for change in ({"num_steps": 16}, {"learning_rate": 0.5}):
+        (run.folder / "config.json").write_text(json.dumps(stored | {"ppo": stored["ppo"] | change}))
+        (name,) = change
+        with pytest.raises(UsageError, match=f"config.json was changed: ppo.{name} is"):
+            train(Run.open(run.folder))
+    loop.save_checkpoint(path, {}, metadata)  # of an earlier version
+    (run.folder / "config.json").write_text(json.dumps(stored | {"ppo": stored["ppo"] | {"num_steps": 20}}))
+    with pytest.raises(UsageError, match="at step 64, which no iteration of 160 steps ends at"):
+        train(Run.open(run.folder))
+
+
+def test_two_processes_cannot_write_to_one_run(tmp_path):
+    run = stored_run(tmp_path / "run", small())
+    with locked(run.folder), pytest.raises(UsageError, match="Another process is writing to"):
+        train(run)
+    with locked(run.folder):
+        pass
+
+
+def test_another_version_is_said_and_written_down(tmp_path, capsys):
+    run = Run.create(small(), tmp_path / "run")
+    stored = json.loads((run.folder / "config.json").read_text())
+    began = stored["stamp"] | {"versions": stored["stamp"]["versions"] | {"mujoco": "3.0.0"}}
+    (run.folder / "config.json").write_text(json.dumps(stored | {"stamp": began}))
+    for _ in range(2):  # once for every change
+        Run.open(run.folder).write_config(640)
+    said = capsys.readouterr().err
+    assert said.count("was trained with mujoco 3.0.0, now") == 1
+    after = json.loads((run.folder / "config.json").read_text())
+    assert after["stamp"] == began and after["resumed"] == [{"steps": 640, "stamp": stored["stamp"]}]
+
+
+def test_rows_that_are_missing_are_said_and_written_down(tmp_path, capsys, monkeypatch):
+    run = Run.create(small(steps=3 * 64, settings={"evaluations": 1, "evaluation_episodes": 2}), tmp_path / "run")
+    monkeypatch.setattr(loop, "film", lambda *_, **__: None)
+    assert "missing_rows" not in train(run)
+    metrics = run.folder / "metrics.jsonl"
+    lines = metrics.read_text().splitlines(keepends=True)
+    metrics.write_text("".join(lines[:1] + lines[2:]))
+    summary = train(Run.open(run.folder))
+    assert summary["missing_rows"] == {"metrics": 1} and "metrics.jsonl lacks 1 rows" in capsys.readouterr().err
+    shutil.copytree(run.folder, tmp_path / "copy")
+    (tmp_path / "copy/metrics.jsonl").unlink()
+    assert journal.missing(tmp_path / "copy", "metrics", [64, 128, 192], [0]) == 3
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_asks_to_stop_and_two_at_once_count_once(number, monkeypatch):
+    monkeypatch.setattr(Stop, "TOGETHER", 0.05)
+    before = signal.getsignal(number)
+    with Stop() as stop:
+        assert not stop.asked
+        for _ in range(2):
+            os.kill(os.getpid(), number)
+        assert stop.asked
+        time.sleep(0.1)
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), number)
+            time.sleep(0.1)
+    assert signal.getsignal(number) == before
