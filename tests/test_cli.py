@@ -172,7 +172,7 @@ def test_a_bad_checkpoint_is_one_line(run, refused, tmp_path, damage):
 
 def test_tasks_doctor_and_bench_answer(tmp_path):
     listing = json.loads(assistax("tasks", "--json").stdout)
-    assert listing["scratch"]["observations"] == {"robot": 34, "human": 38, "global": 52}
+    assert listing["scratch-v0"]["observations"] == {"robot": 34, "human": 38, "global": 52}
     report = json.loads(assistax("doctor", "--json").stdout)
     assert "mujoco" in report["engine"] and report["self_test"].startswith("ok")
     speed = json.loads(assistax("bench", "scratch", "--num-envs", 16, "--seconds", 1, "--json").stdout)

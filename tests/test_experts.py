@@ -92,7 +92,7 @@ def test_actions_stay_within_bounds_and_finite_from_anywhere(envs):
         assert action.shape == (7,) and (jnp.abs(action) <= 1.0).all()
 
 
-@pytest.mark.parametrize("name", ["scratch", "feeding"])
+@pytest.mark.parametrize("name", ["scratch-v0", "feeding-v0"])
 def test_offering_brings_the_person_nearer_than_withdrawing(envs, name):
     env = envs[name]
 
@@ -126,7 +126,7 @@ def test_the_expert_asks_for_torque_control():
         expert(env)
 
 
-@pytest.mark.parametrize("name", ["scratch", "feeding"])
+@pytest.mark.parametrize("name", ["scratch-v0", "feeding-v0"])
 def test_the_considerate_expert_is_liked_more(name):
     env = assistax.make(name, engine="mujoco", human={"preference": "speed=0.03:0.05 force=1:1.5"})
     plain, considerate = (

@@ -34,16 +34,16 @@ def small(algorithm="ippo", **choices):
 def test_algorithm_and_switches_choose_trainer_and_row():
     plain, ours = configure("bed_bath", {}, preset="paper"), configure("bed_bath", {})
     central = configure("bed_bath", {}, algorithm="mappo", recurrent=True, preset="paper")
-    assert (plain.num_envs, ours.num_envs, ours.ppo.gamma) == (1024, 256, 0.995)
-    assert not plain.ppo.central_critic and not plain.ppo.recurrent and plain.ppo.clip_eps == 0.042
-    assert central.ppo.central_critic and central.ppo.recurrent and central.ppo.clip_eps == 0.068
-    assert configure("bed_bath", {"ppo.recurrent": True}, preset="paper").ppo.clip_eps == 0.066
-    assert configure("scratch", {}, algorithm="mappo", recurrent=True).ppo.gamma == 0.995
-    assert configure("scratch", {}, share_parameters=True).ppo.share_parameters
+    assert (plain.num_envs, ours.num_envs, ours.method.gamma) == (1024, 256, 0.995)
+    assert not plain.method.central_critic and not plain.method.recurrent and plain.method.clip_eps == 0.042
+    assert central.method.central_critic and central.method.recurrent and central.method.clip_eps == 0.068
+    assert configure("bed_bath", {"ppo.recurrent": True}, preset="paper").method.clip_eps == 0.066
+    assert configure("scratch", {}, algorithm="mappo", recurrent=True).method.gamma == 0.995
+    assert configure("scratch", {}, share_parameters=True).method.share_parameters
     joint, own = (configure("scratch", {}, algorithm=a, preset="paper") for a in ("masac", "isac"))
-    assert joint.sac.joint_critics and not own.sac.joint_critics and joint.num_envs == 256
-    assert joint.sac.actor_learning_rate == 5.62e-5
-    assert configure("feeding", {}, algorithm="isac").sac.tau == 0.02
+    assert joint.method.joint_critics and not own.method.joint_critics and joint.num_envs == 256
+    assert joint.method.actor_learning_rate == 5.62e-5
+    assert configure("feeding", {}, algorithm="isac").method.tau == 0.02
 
 
 @pytest.mark.parametrize(
@@ -55,8 +55,8 @@ def test_algorithm_and_switches_choose_trainer_and_row():
         ({"ppo.central_critic": True}, {}, "ppo.central_critic is False for ippo; change --algorithm"),
         ({"ppo.hidden": ()}, {"recurrent": True}, "ppo.hidden"),
         ({"sac.taus": 1}, {"algorithm": "masac"}, "Did you mean 'sac.tau'"),
-        ({}, {"algorithm": "masac", "recurrent": True}, "--recurrent and --share-parameters exist for ippo and mappo"),
-        ({}, {"algorithm": "masac", "share_parameters": True}, "exist for ippo and mappo only"),
+        ({}, {"algorithm": "masac", "recurrent": True}, "--recurrent does not exist for masac"),
+        ({}, {"algorithm": "masac", "share_parameters": True}, "--share-parameters does not exist for masac"),
     ],
 )
 def test_what_an_algorithm_does_not_have_is_refused(settings, choices, words):

@@ -52,7 +52,7 @@ def touching(env):
     target = {
         "bed_bath": data.geom("right_forearm").xpos + np.array([0, 0, 0.035]),
         "arm_assist": data.site("wrist_target").xpos + np.array([0, 0, 0.06]),
-    }.get(env.name, data.site("mouth").xpos)
+    }.get(env.spec.name, data.site("mouth").xpos)
 
     def pressed(data):
         return 1.0 < np.linalg.norm(contact_force(env.model, data, tool_only=True)) < 300.0
@@ -63,7 +63,7 @@ def touching(env):
         pose = solve(env.model, point, seed=seed, restarts=4, tolerance=1e-3, accept=pressed)
         if pose is not None:
             return pose
-    raise AssertionError(f"no touching pose in {env.name}")
+    raise AssertionError(f"no touching pose in {env.spec.name}")
 
 
 def rollout(env, steps, start_touching):
@@ -253,7 +253,7 @@ def random_sensors(key, env, n):
 
 def random_task_state(env, key):
     state = env.task.reset(key)
-    if env.name == "bed_bath":
+    if env.spec.name == "bed_bath":
         return dataclasses.replace(state, newly=jax.random.randint(key, (), 0, 53))
     return state
 
