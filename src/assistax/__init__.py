@@ -7,7 +7,6 @@ env = assistax.make("scratch")
 import ctypes
 import os
 import sys
-from importlib import metadata
 from typing import TYPE_CHECKING
 
 from assistax.errors import AssistaxError, SimulationError, UsageError
@@ -17,6 +16,8 @@ if TYPE_CHECKING:
     from assistax.learning.algorithms import register_algorithm
     from assistax.tasks import TASKS, register_task
 
+    __version__: str
+
 if sys.platform == "linux" and not os.environ.get("DISPLAY") and "MUJOCO_GL" not in os.environ:
     # Headless rendering. MuJoCo reads this when first imported, and fails then if the library is missing.
     try:
@@ -25,7 +26,6 @@ if sys.platform == "linux" and not os.environ.get("DISPLAY") and "MUJOCO_GL" not
     except OSError:
         pass  # everything but rendering works, which says what to install
 
-__version__ = metadata.version("assistax")
 __all__ = [
     "TASKS",
     "AssistaxError",
@@ -34,6 +34,7 @@ __all__ = [
     "EnvState",
     "SimulationError",
     "UsageError",
+    "__version__",
     "make",
     "register_algorithm",
     "register_task",
@@ -41,7 +42,7 @@ __all__ = [
 
 
 def __dir__() -> list[str]:
-    return [*__all__, "__version__"]
+    return sorted({*globals(), *__all__})
 
 
 def __getattr__(name: str):
@@ -54,6 +55,10 @@ def __getattr__(name: str):
         from assistax.learning.algorithms import register_algorithm
 
         return register_algorithm
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("assistax")
     if name in __all__:
         from assistax import env
 

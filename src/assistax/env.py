@@ -257,7 +257,7 @@ class Env:
         limits = overrides.get("jnt_range", jnp.asarray(self.model.jnt_range))
         qpos = jnp.clip(self._start + noise[0], limits[:, 0], limits[:, 1])
         phase = jax.random.uniform(phase_key, (self.action_sizes["human"],), maxval=2.0 * jnp.pi)
-        seed = jax.random.bits(jax.random.fold_in(key, 1), (2,), jnp.uint32)
+        seed = jax.random.bits(jax.random.fold_in(key, _SEED), (2,), jnp.uint32)
         return _Start(qpos, noise[1], self.task.reset(task_key), person, phase, overrides, seed)
 
     def _draw_batch(self, done: jax.Array, keys: jax.Array, seeds: jax.Array) -> _Start:
@@ -353,6 +353,7 @@ class Env:
         }
 
 
+_SEED = 1_000_000  # folded into a reset's key for the state's seed; a split into four may be a fold of 0 to 3
 _HIDDEN = {"robot": ("theta_human", "dtheta_human"), "human": ("theta_robot", "dtheta_robot"), "global": ()}
 
 

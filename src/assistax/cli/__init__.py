@@ -7,7 +7,6 @@ from typing import Any
 
 import tyro
 
-from assistax import __version__
 from assistax.cli.bench import bench
 from assistax.cli.crossplay import crossplay
 from assistax.cli.doctor import doctor
@@ -46,7 +45,9 @@ def main() -> None:
         print(overview())
         return
     if sys.argv[1:] == ["--version"]:
-        print(f"assistax {__version__}")
+        import assistax
+
+        print(f"assistax {assistax.__version__}")
         return
     # Programs without physics are compiled once per machine; read when JAX is first imported.
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "assistax" / "jax"
