@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 FEW_SEEDS = 10  # with fewer an interval relies on seeds being spread like a normal distribution
+_MOST_DRAWN = 1 << 20  # numbers in memory while resampling
 Interval = tuple[float, float]
 Tasks = Sequence[np.ndarray]
 
@@ -21,8 +22,11 @@ Tasks = Sequence[np.ndarray]
 def bootstrap_ci(values, resamples: int = 10_000, seed: int = 0) -> Interval:
     """95 % percentile-bootstrap interval of the mean of values [n]; (mean, mean) for one value."""
     values = np.asarray(values, np.float64)
-    ids = np.random.default_rng(seed).integers(len(values), size=(resamples, len(values)))
-    low, high = np.percentile(values[ids].mean(1), [2.5, 97.5])
+    rng = np.random.default_rng(seed)
+    rows = max(1, _MOST_DRAWN // len(values))  # at a time, so that memory does not grow with the values
+    sizes = [min(rows, resamples - done) for done in range(0, resamples, rows)]
+    means = [values[rng.integers(len(values), size=(size, len(values)))].mean(1) for size in sizes]
+    low, high = np.percentile(np.concatenate(means), [2.5, 97.5])
     return float(low), float(high)
 
 

@@ -1,0 +1,57 @@
+"""Evaluations: the same numbers however many episodes are played at once, in memory that does not grow with them."""
+
+import tracemalloc
+
+import jax
+import numpy as np
+import pytest
+
+from assistax.evaluation import playing
+from assistax.evaluation.distribution import Distribution
+from assistax.evaluation.playing import play, summarize, typical
+from assistax.evaluation.statistics import bootstrap_ci
+from assistax.policies import scripted_team
+
+
+def test_episodes_played_in_turns_are_those_played_at_once(scratch, monkeypatch):
+    team = scripted_team("random", scratch)
+    whole = play(scratch, team, 5)
+    monkeypatch.setattr(playing, "MOST_AT_ONCE", 2)
+    turns = play(scratch, team, 5)
+    for name in ("metrics", "terms", "person"):
+        jax.tree.map(np.testing.assert_array_equal, turns[name], whole[name])
+    assert summarize(turns) == summarize(whole)
+    assert len(whole["qpos"]) == 5 and len(turns["qpos"]) == 2  # of the first turn only
+    np.testing.assert_array_equal(turns["qpos"], whole["qpos"][:2])
+
+
+def test_the_film_shows_the_median_or_what_is_nearest_to_it():
+    returns = np.array([5.0, 1.0, 4.0, 3.0, 2.0])
+    assert typical({"metrics": {"return": returns}, "playing": np.ones((5, 3))}) == 3
+    assert typical({"metrics": {"return": returns}, "playing": np.ones((3, 3))}) == 2
+
+
+def test_the_distribution_of_forces_is_numpys():
+    rng = np.random.default_rng(0)
+    parts = [np.where(rng.random(n) < 0.3, rng.gamma(1.0, 8.0, n), 0.0).astype(np.float32) for n in (1, 999, 5000)]
+    force, all_of_it = Distribution(), np.concatenate(parts).astype(np.float64)
+    for part in parts:
+        force.add(part)
+    assert force.mean == pytest.approx(all_of_it.mean(), rel=1e-12) and force.peak == all_of_it.max()
+    assert force.mean_positive == pytest.approx(all_of_it[all_of_it > 0].mean(), rel=1e-12)
+    for q in (0.5, 0.8, 0.95, 0.99):
+        assert force.quantile(q) == pytest.approx(np.quantile(all_of_it, q), rel=2.5e-4, abs=1e-30)
+    assert Distribution().mean == Distribution().mean_positive == 0.0
+    one = Distribution()
+    one.add(np.float32([7.0]))
+    assert one.quantile(0.95) == pytest.approx(7.0, rel=2.5e-4)
+
+
+def test_the_bootstrap_is_the_plain_one_in_flat_memory():
+    values = np.random.default_rng(1).normal(size=1500)
+    ids = np.random.default_rng(0).integers(1500, size=(2000, 1500))
+    assert bootstrap_ci(values, 2000) == tuple(np.percentile(values[ids].mean(1), [2.5, 97.5]))
+    tracemalloc.start()
+    bootstrap_ci(np.ones(100_000), 100)
+    assert tracemalloc.get_traced_memory()[1] < 40e6  # at once 160 MB
+    tracemalloc.stop()
