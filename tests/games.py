@@ -13,6 +13,10 @@ class Game:
     episode_length = 5
     ending = 0.0  # probability that a step ends the episode for good
 
+    def extra(self, actions):
+        """What else a step's info has."""
+        return {}
+
     def reset(self, key, elapsed=0):
         state = self.begin(key) | {"t": jnp.int32(0) + elapsed, "return": jnp.float32(0.0)}
         return self.see(state), state
@@ -24,14 +28,14 @@ class Game:
         terminated = jax.random.uniform(end_key) < self.ending
         truncated = (end["t"] >= self.episode_length) & ~terminated
         _, fresh = self.reset(reset_key)
-        state = jax.tree.map(partial(jnp.where, terminated | truncated), fresh, end)
-        info = {
+        info = self.extra(actions) | {
             "final_observation": self.see(end),
             "final_global_observation": self.global_obs(end),
             "metrics": {"return": end["return"]},
             "reward_terms": {"all": reward},
             "fault": jnp.int32(0),
         }
+        state = jax.tree.map(partial(jnp.where, terminated | truncated), fresh, end)
         rewards = dict.fromkeys(self.agents, reward)
         return self.see(state), state, rewards, {"__all__": terminated}, {"__all__": truncated}, info
 
@@ -134,3 +138,32 @@ class Integrator(Game):
     def play(self, key, state, actions):
         u = actions["robot"][0]
         return -jnp.square(state["x"]) - 0.1 * jnp.square(u), {"x": state["x"] + 0.3 * u}
+
+
+class Fines(Game):
+    """Both should play 1, but a step costs max(0, robot's action) + 2 max(0, human's); reward 2 - the squared errors.
+
+    With at most c a step, where c is below 3, the best is to give way in proportion to the fine: the robot plays
+    1 - (3 - c) / 5 and the human 1 - 2 (3 - c) / 5, worth 2 - (3 - c)² / 5.
+    """
+
+    observation_sizes, action_sizes, global_size = {"robot": 1, "human": 1}, {"robot": 1, "human": 1}, 1
+
+    def __init__(self, episode_length=5, unit=1.0):
+        self.episode_length, self.unit = episode_length, unit
+
+    def begin(self, key):
+        return {}
+
+    def see(self, state):
+        return {agent: self.global_obs(state) for agent in self.agents}
+
+    def global_obs(self, state):
+        return jnp.ones(1)
+
+    def play(self, key, state, actions):
+        return 2.0 - sum(jnp.sum(jnp.square(action - 1.0)) for action in actions.values()), {}
+
+    def extra(self, actions):
+        robot, human = (jnp.maximum(actions[agent][0], 0.0) for agent in self.agents)
+        return {"cost": self.unit * (robot + 2.0 * human)}

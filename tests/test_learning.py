@@ -252,7 +252,7 @@ def test_samples_are_what_a_step_by_step_loop_computes(variant):
                 width += 8
             values = loop(own["critic"], shown(agent, judged), None, reset[:, i])[0][:, 0]
             following = loop(own["critic"], shown(agent, ahead), None, reset[:, i])[0][:, 0]
-            np.testing.assert_allclose(samples[agent]["value"][:, i], values, atol=2e-5)
+            np.testing.assert_allclose(samples[agent]["critic"]["old"][:, i], values, atol=2e-5)
             advantage, expected = 0.0, np.zeros(12)
             for t in reversed(range(12)):
                 to_come = 0.0 if terminated[t, i] else c.gamma * following[t]

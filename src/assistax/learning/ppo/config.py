@@ -28,6 +28,8 @@ class PPOConfig:
     hidden: tuple[int, ...] = (128, 128)
     activation: str = "tanh"
     initial_log_std: float = 0.0
+    cost_limit: float | None = None  # of an episode's cost, its undiscounted sum, on average; None: no limit
+    multiplier_gains: tuple[float, ...] = (1.0, 0.05, 0.0)  # of its PID controller, see constraint.updated
     noise_correlation: float = 0.0  # of the exploration from step to step; begins anew with episode and rollout
     correlated_steps: int = 0  # environment steps after which that is 0, as long runs need; 0: never
     normalize_obs: bool = True
@@ -43,6 +45,11 @@ class PPOConfig:
         for name in ("gamma", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
                 raise UsageError(f"ppo.{name} must be in [0, 1], not {getattr(self, name)}.")
+        limit = 0.0 if self.cost_limit is None else self.cost_limit
+        if isinstance(limit, bool) or not isinstance(limit, int | float) or not limit >= 0:
+            raise UsageError(f"ppo.cost_limit must be a number of 0 or more, or None, not {self.cost_limit!r}.")
+        if len(self.multiplier_gains) != 3 or not all(0 <= gain < math.inf for gain in self.multiplier_gains):
+            raise UsageError(f"ppo.multiplier_gains must be three numbers of 0 or more, not {self.multiplier_gains}.")
         if not 0 <= self.noise_correlation < 1:
             raise UsageError(f"ppo.noise_correlation must be in [0, 1), not {self.noise_correlation}.")
         if self.correlated_steps < 0:
@@ -52,3 +59,7 @@ class PPOConfig:
         if not all(size > 0 for size in self.hidden) or (not self.hidden and (self.recurrent or self.share_parameters)):
             raise UsageError(f"ppo.hidden must be the sizes of one layer or more, not {self.hidden}.")
         choose("activation", self.activation, ACTIVATIONS)
+
+    @property
+    def constrained(self) -> bool:
+        return self.cost_limit is not None and self.cost_limit < math.inf

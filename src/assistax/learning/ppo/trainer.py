@@ -33,6 +33,7 @@ from assistax.learning.networks import (
 from assistax.learning.normalizer import init_stats, normalize, update_stats
 from assistax.learning.partners import Partners
 from assistax.learning.ppo.config import PPOConfig
+from assistax.learning.ppo.constraint import check_cost, combined, in_means, init_constraint, updated
 from assistax.learning.ppo.losses import adapted_rate, clip_networks, clipped_policy_loss, value_loss
 from assistax.learning.tuned import overlaid
 from assistax.policies import Player
@@ -54,6 +55,7 @@ class TrainState:
     partner_state: dict[str, Any]  # of the frozen partners, see Partners
     key: jax.Array
     iteration: jax.Array  # int32
+    constraint: Any = ()  # with ppo.cost_limit, a Constraint
     tuned: dict[str, jax.Array] = field(default_factory=dict)  # settings that stand in for the configuration's
 
 
@@ -88,10 +90,13 @@ class PPO:
                 f"num_envs x ppo.num_steps = {num_envs} x {config.num_steps} = {self.steps_per_iteration} samples do "
                 f"not divide into ppo.num_minibatches = {config.num_minibatches}."
             )
+        if config.constrained:
+            check_cost(env)
         self._adam = optax.adam(1.0, eps=1e-5)  # its steps are multiplied by the learning rate
         self._updates = total_iterations * config.update_epochs * config.num_minibatches
         self._last_iteration = total_iterations - 1
         self._critic_sees = {agent: "global" if config.central_critic else agent for agent in self.learners}
+        self._critics = ("critic", "cost_critic") if config.constrained else ("critic",)
         self._units = config.hidden[0] if config.recurrent else 0  # of memory
         self._sizes = {agent: env.observation_sizes[agent] for agent in self.learners}
         if config.central_critic:
@@ -120,6 +125,7 @@ class PPO:
             partner_state=self.partners.init(partner_key),
             key=key,
             iteration=jnp.int32(0),
+            constraint=init_constraint(self.num_envs) if self.config.constrained else (),
             tuned=tuned,
         )
 
@@ -131,7 +137,12 @@ class PPO:
             actor = init_network(actor_key, (seen, *c.hidden, acts), 0.01, c.recurrent)
             actor["log_std"] = jnp.full(acts, c.initial_log_std, jnp.float32)
             critic = init_mlp(critic_key, (self._units + seen_by_critic, *c.hidden, 1), 1.0)
-            return {"actor": actor, "critic": {"layers": critic}}
+            networks = {"actor": actor, "critic": {"layers": critic}}
+            if self.config.constrained:
+                key = jax.random.fold_in(key, 1)  # the others are those of a training without
+                critic = init_mlp(key, (self._units + seen_by_critic, *c.hidden, 1), 1.0)
+                networks["cost_critic"] = {"layers": critic}
+            return networks
 
         if c.share_parameters:  # see network_of
             count = len(self.learners)
@@ -145,17 +156,17 @@ class PPO:
     # -- acting --------------------------------------------------------------------------------
 
     def _networks(self, params) -> dict[str, Any]:
-        """By learner its "actor" and its "critic"."""
+        """By learner its "actor", its "critic" and, if there is a limit, its "cost_critic"."""
         if not self.config.share_parameters:
             return params
-        actor, critic, count, networks = params["shared"]["actor"], params["shared"]["critic"], len(self.learners), {}
+        shared, count, networks = params["shared"], len(self.learners), {}
         for i, agent in enumerate(self.learners):
             acts = self.env.action_sizes[agent]
-            own = network_of(actor, i, count, self._sizes[agent], acts) | {"log_std": actor["log_std"][:acts]}
-            networks[agent] = {
-                "actor": own,
-                "critic": network_of(critic, i, count, self._units + self._sizes[self._critic_sees[agent]], 1),
-            }
+            own = network_of(shared["actor"], i, count, self._sizes[agent], acts)
+            networks[agent] = {"actor": own | {"log_std": shared["actor"]["log_std"][:acts]}}
+            for name in self._critics:
+                seen = self._units + self._sizes[self._critic_sees[agent]]
+                networks[agent][name] = network_of(shared[name], i, count, seen, 1)
         return networks
 
     def _views(self, obs, global_obs):
@@ -199,7 +210,7 @@ class PPO:
         global_obs = jax.vmap(env.global_obs) if c.central_critic else lambda _: None
 
         def play(carry, now):
-            (env_state, obs, reset, memory, noise, partner_state, t), (key, first) = carry, now
+            (env_state, obs, reset, memory, noise, partner_state, so_far, t), (key, first) = carry, now
             # A rollout's noise knows nothing of the one before, so that its density is one of its own actions alone.
             kept = jnp.where(reset | first, 0.0, correlation)
             partner_key, redraw_key, step_key, *action_keys = jax.random.split(key, 3 + len(self.learners))
@@ -229,18 +240,29 @@ class PPO:
                 "terminated": terminated["__all__"],
                 "done": done,
             }
-            log = step_log(info, done & (t >= env.episode_length * c.stagger))
+            whole = done & (t >= env.episode_length * c.stagger)
+            if self.config.constrained:
+                total = so_far + info["cost"]
+                played |= {"cost": info["cost"], "episode_cost": total, "whole": whole}
+                so_far = jnp.where(done, 0.0, total)
+            log = step_log(info, whole)
             partner_state = self.partners.redraw(partner_state, done, redraw_key)
-            return (env_state, next_obs, done, memory, noise, partner_state, t + 1), (played, log)
+            return (env_state, next_obs, done, memory, noise, partner_state, so_far, t + 1), (played, log)
 
         key, rollout_key = jax.random.split(state.key)
         t = state.iteration * c.num_steps + 1
         noise = {agent: jnp.zeros((self.num_envs, env.action_sizes[agent])) for agent in self.learners}
-        start = (state.env_state, state.obs, state.reset, state.memory, noise, state.partner_state, t)
+        so_far = state.constraint.so_far if self.config.constrained else ()
+        start = (state.env_state, state.obs, state.reset, state.memory, noise, state.partner_state, so_far, t)
         steps = jax.random.split(rollout_key, c.num_steps), jnp.arange(c.num_steps) == 0
-        (env_state, obs, reset, memory, _, partner_state, _), (batch, log) = jax.lax.scan(play, start, steps)
-        batch |= {"memory": state.memory, "log": iteration_log(log)}
+        end, (batch, log) = jax.lax.scan(play, start, steps)
+        env_state, obs, reset, memory, _, partner_state, so_far, _ = end
         after = {"env_state": env_state, "obs": obs, "reset": reset, "memory": memory, "partner_state": partner_state}
+        if self.config.constrained:
+            whole = batch.pop("whole")
+            batch["episode_cost"] = jnp.sum(batch["episode_cost"] * whole) / whole.sum()  # NaN if none ended
+            after["constraint"] = replace(state.constraint, so_far=so_far)
+        batch |= {"memory": state.memory, "log": iteration_log(log)}
         return replace(state, **after, key=key), batch
 
     # -- learning ------------------------------------------------------------------------------
@@ -254,24 +276,32 @@ class PPO:
         c, networks = overlaid(self.config, state.tuned), self._networks(state.params)
         seen, final = self._seen(state.normalizer, batch["obs"]), self._seen(state.normalizer, batch["final_obs"])
         samples = {"obs": seen, "reset": batch["reset"], "kept": batch["kept"]}
+        advantages, cost_advantages = {}, {}
         for agent in self.learners:
-            actor, critic, reset = networks[agent]["actor"], networks[agent]["critic"], batch["reset"]
+            actor, reset = networks[agent]["actor"], batch["reset"]
             _, memory = unroll(actor, seen[agent], batch["memory"][agent], reset, c.activation)
             # The state that a step led to is met with that step's memory, also where a reset followed.
             _, after = step(actor, final[agent], memory, jnp.zeros_like(reset), c.activation)
-            values = self._value(critic, agent, seen, memory)
-            next_values = self._value(critic, agent, final, after)
-            ends = batch["terminated"], batch["done"]
-            # Values are then means of the rewards to come. Advantages are normalised anyway.
-            rewards = batch["rewards"][agent] / horizon(c.gamma, self.env.episode_length)
-            advantages = gae(rewards, values, next_values, *ends, c.gamma, c.gae_lambda)
-            samples[agent] = {
-                "action": batch["actions"][agent],
-                "log_prob": batch["log_probs"][agent],
-                "advantage": advantages,
-                "value": values,
-                "target": advantages + values,
-            }
+
+            def judged(critic, rewards, memory=memory, after=after, agent=agent):
+                values = self._value(critic, agent, seen, memory)
+                next_values = self._value(critic, agent, final, after)
+                ends = batch["terminated"], batch["done"]
+                # Values are then means of the rewards to come. Advantages are normalised anyway.
+                rewards = rewards / horizon(c.gamma, self.env.episode_length)
+                advantages = gae(rewards, values, next_values, *ends, c.gamma, c.gae_lambda)
+                return {"old": values, "target": advantages + values}, advantages
+
+            samples[agent] = {"action": batch["actions"][agent], "log_prob": batch["log_probs"][agent]}
+            samples[agent]["critic"], advantages[agent] = judged(networks[agent]["critic"], batch["rewards"][agent])
+            if self.config.constrained:
+                costs = in_means(batch["cost"], state.constraint)
+                values_of_cost = judged(networks[agent]["cost_critic"], costs)
+                samples[agent]["cost_critic"], cost_advantages[agent] = values_of_cost
+        if self.config.constrained:
+            advantages = combined(advantages, cost_advantages, state.constraint.multiplier)
+        for agent in self.learners:
+            samples[agent]["advantage"] = advantages[agent]
         return samples
 
     def _value(self, critic, agent, seen, memory):
@@ -289,6 +319,10 @@ class PPO:
         # a fresh actor's mean is near 0 whatever it sees. Later ones are used only from the next rollout on, so that
         # every log-probability is computed with the rollout's own numbers.
         used = jax.tree.map(partial(jnp.where, state.iteration == 0), informed, state.normalizer)
+        if self.config.constrained:
+            constraint = updated(state.constraint, batch["episode_cost"], c.cost_limit, c.multiplier_gains)
+            per_step = constraint.per_step + (batch["cost"].mean() - constraint.per_step) / (state.iteration + 1)
+            state = replace(state, constraint=replace(constraint, per_step=per_step))
         samples = self._samples(replace(state, normalizer=used), batch)
         samples = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
         # Without memory, every step is a sequence of its own.
@@ -306,7 +340,8 @@ class PPO:
             if c.anneal_learning_rate:
                 rate *= 1.0 - opt_state[0].count / self._updates
             updates, opt_state = self._adam.update(clip_networks(grads, c.max_grad_norm), opt_state)
-            rates = {name: {"actor": rate * scale, "critic": rate} for name, scale in state.rate_scale.items()}
+            critics = dict.fromkeys(self._critics, rate)
+            rates = {name: {"actor": rate * scale} | critics for name, scale in state.rate_scale.items()}
             updates = jax.tree.map(optax.tree.scale, rates, updates)
             return (optax.apply_updates(params, updates), opt_state), stats
 
@@ -323,10 +358,12 @@ class PPO:
             kl = {"shared": sum(kl.values()) / len(kl)}
         rate_scale = {name: adapted_rate(state.rate_scale[name], kl[name], c.desired_kl) for name in kl}
         for agent, networks in self._networks(params).items():
-            value, target = samples[agent]["value"], samples[agent]["target"]
+            value, target = samples[agent]["critic"]["old"], samples[agent]["critic"]["target"]
             stats[agent]["explained_variance"] = 1.0 - jnp.var(target - value) / (jnp.var(target) + 1e-8)
             stats[agent]["std"] = jnp.exp(networks["actor"]["log_std"]).mean()
             stats[agent]["rate_scale"] = rate_scale["shared" if c.share_parameters else agent]
+        if self.config.constrained:
+            stats["constraint"] = {"cost": state.constraint.cost, "multiplier": state.constraint.multiplier}
         state = replace(
             state,
             params=params,
@@ -377,15 +414,18 @@ class PPO:
         log_prob, memory = self._log_prob(c, agent, networks["actor"], part, start)
         log_ratio = log_prob - x["log_prob"]
         policy_loss = clipped_policy_loss(log_ratio, x["advantage"], c.clip_eps)
-        value = self._value(networks["critic"], agent, part["obs"], memory)
-        value_error = value_loss(value, x["value"], x["target"], c.clip_eps if c.clip_value else None)
+        clip = c.clip_eps if c.clip_value else None
+        value = {name: self._value(networks[name], agent, part["obs"], memory) for name in self._critics}
+        errors = {name: value_loss(value[name], **x[name], clip_eps=clip) for name in self._critics}
         entropy = gaussian_entropy(log_std)
         stats = {
             "policy_loss": policy_loss,
-            "value_loss": value_error,
+            "value_loss": errors["critic"],
             "entropy": entropy,
             "approx_kl": jnp.mean(jnp.expm1(log_ratio) - log_ratio),
             "clip_fraction": jnp.mean(jnp.abs(jnp.expm1(log_ratio)) > c.clip_eps),
-            "value_change": jnp.mean(jnp.abs(value - x["value"])),
+            "value_change": jnp.mean(jnp.abs(value["critic"] - x["critic"]["old"])),
         }
-        return policy_loss + c.value_coef * value_error - c.entropy_coef * entropy, stats
+        if self.config.constrained:
+            stats["cost_value_loss"] = errors["cost_critic"]
+        return policy_loss + c.value_coef * sum(errors.values()) - c.entropy_coef * entropy, stats
