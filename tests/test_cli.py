@@ -19,7 +19,7 @@ SMALL += ["env.episode_length=16", "ppo.hidden=(8,8)", "evaluations=2", "evaluat
 
 
 def assistax(*args):
-    command = [sys.executable, "-m", "assistax.cli", *map(str, args)]
+    command = [sys.executable, "-m", "assistax", *map(str, args)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     return done
@@ -92,7 +92,7 @@ def test_several_seeds_are_the_runs_of_each_seed_alone(run, tmp_path):
 
 def test_an_interrupted_run_goes_on(tmp_path):
     folder = tmp_path / "run"
-    command = [sys.executable, "-m", "assistax.cli", "train", "scratch", "--steps", "10000000", "--out", folder, *SMALL]
+    command = [sys.executable, "-m", "assistax", "train", "scratch", "--steps", "10000000", "--out", folder, *SMALL]
     process = subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     metrics = folder / "metrics.jsonl"
     deadline = time.monotonic() + 120

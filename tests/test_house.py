@@ -28,6 +28,7 @@ FLOORS = (
     ("adapters", "diagnostics"),
     ("experiments",),
     ("cli",),
+    ("__main__",),
 )
 
 

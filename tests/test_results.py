@@ -386,7 +386,7 @@ def test_the_curve_of_one_run(tmp_path):
 
 
 def test_from_the_command_line(tmp_path):
-    command = [sys.executable, "-m", "assistax.cli", "plot", "nowhere"]
+    command = [sys.executable, "-m", "assistax", "plot", "nowhere"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
     assert done.returncode == 2 and done.stderr.startswith("assistax: nowhere is not a run folder")
     assert len(done.stderr.splitlines()) == 1

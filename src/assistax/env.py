@@ -51,6 +51,9 @@ class EnvConfig:
         for name in ("episode_length", "substeps", "contacts_per_env", "constraints_per_env"):
             if getattr(self, name) < 1:
                 raise UsageError(f"env.{name} must be 1 or more, not {getattr(self, name)}.")
+        for name in ("reset_noise", "force_limit", "num_threads"):
+            if not getattr(self, name) >= 0:
+                raise UsageError(f"env.{name} must be 0 or more, not {getattr(self, name)}.")
         if not 0 < self.torque_scale <= 1:
             raise UsageError(f"env.torque_scale must be in (0, 1], not {self.torque_scale}.")
         choose("control mode", self.control, ["torque", "position"])

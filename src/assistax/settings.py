@@ -2,6 +2,7 @@
 
 import ast
 import dataclasses
+import math
 import types
 import typing
 from collections.abc import Iterable, Mapping
@@ -80,7 +81,9 @@ def _cast(name: str, hint: Any, value: Any) -> Any:
         if Ellipsis not in inner and len(inner) != len(value):
             raise UsageError(f"{name} takes {len(inner)} values, not {len(value)}.")
         return tuple(_cast(name, inner[0], v) for v in value)
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+    if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
+        if not math.isfinite(value):
+            raise UsageError(f"{name} must be a finite number, not {value}.")
         return float(value)
     if kind is int and isinstance(value, float) and value.is_integer():
         return int(value)

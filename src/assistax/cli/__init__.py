@@ -59,9 +59,6 @@ def main() -> None:
             description=DESCRIPTION,
             config=(tyro.conf.FlagCreatePairsOff,),
         )
-    except KeyboardInterrupt:
-        print("assistax: stopped.", file=sys.stderr)
-        sys.exit(130)
     except AssistaxError as error:
         print(f"assistax: {error}", file=sys.stderr)
         sys.exit(2)

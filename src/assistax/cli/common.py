@@ -83,7 +83,7 @@ def print_table(report: dict[str, Any], indent: str = "") -> None:
                 value = " to ".join(f"{x:.4g}" if isinstance(x, float) else str(x) for x in value)
             elif isinstance(value, float):
                 value = f"{value:.4g}"
-            print(f"{indent}{name:{28 - len(indent)}} {value}")
+            print(f"{indent}{name:{28 - len(indent)}} {'none' if value is None else value}")
 
 
 def aligned(head: list[str], cells: list[list[str]]) -> str:

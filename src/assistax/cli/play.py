@@ -1,6 +1,8 @@
 """`assistax play`."""
 
-from assistax.cli.common import File, Name, Set, Task, film_episode, film_path, print_table, teams_of
+import sys
+
+from assistax.cli.common import File, Name, Set, Task, film_episode, film_path, teams_of
 
 
 def play(
@@ -16,14 +18,22 @@ def play(
     Args:
       task: `assistax tasks` lists them.
       episodes: how many; the film shows the one of median return.
-      out: an .mp4, .webp or .png (default TASK.mp4).
+      out: an .mp4, .webp, .gif or .png (default TASK.mp4).
       engine: auto, mujoco, warp or mjx.
       set: change any setting, for example env.human.disability=tremor, as in `assistax evaluate`.
     """
     from assistax.evaluation.playing import play, summarize, typical
 
     path = film_path(out)
-    env, teams, about = teams_of(task, "trained", engine, set)
+    print(
+        f"Playing {episodes} episodes, then filming one; the first time it compiles for ten seconds.", file=sys.stderr
+    )
+    env, teams, _ = teams_of(task, "trained", engine, set)
     result = play(env, teams[0], episodes)
-    print_table({**about, **summarize(result)})
+    found = summarize(result)
+    force = found["force"]
+    print(f"{env.name}, the trained team, {episodes} episodes of {env.episode_length * env.dt:g} s")
+    print(f"success        {found['success_rate']:.0%}")
+    print(f"return         {found['mean_return']:.0f}")
+    print(f"force          {force['mean_in_contact']:.1f} N in contact, {force['peak']:.0f} N at most")
     film_episode(env, result, typical(result), path)

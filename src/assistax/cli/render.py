@@ -23,7 +23,7 @@ def render(
 
     Args:
       target: a run folder, a team file, or a task together with --policy.
-      out: an .mp4, a .webp, or a .png of the last moment (default TASK.mp4).
+      out: an .mp4, .webp or .gif, or a .png of the last moment (default TASK.mp4).
       policy: with a task, who plays: trained (the team that comes with it), still, random, expert or considerate
         (the robot; the human is then still, or comes toward the tool: offer, or away from it: withdraw).
       engine: auto, mujoco, warp or mjx (default: as the run, else auto).

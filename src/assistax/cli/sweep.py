@@ -65,11 +65,13 @@ def sweep(
       resume: continue this sweep folder.
     """
     from assistax.files import writing
-    from assistax.settings import parse_assignments
+    from assistax.settings import check_count, parse_assignments
     from assistax.training.configuration import configure
     from assistax.training.search import SEARCH
     from assistax.training.sweep import Sweep
 
+    if side_by_side is not None:
+        check_count("side_by_side", side_by_side)
     if resume is not None:
         given: dict[str, Any] = {"task": task, "algorithm": algorithm, "configs": configs, "seeds": seeds}
         given |= {"recurrent": recurrent or None, "share-parameters": share_parameters or None, "steps": steps}

@@ -88,7 +88,7 @@ def train(
         with writing(run.folder):
             summary = training(run)
     except KeyboardInterrupt:
-        if run.newest_checkpoint() is None:
+        if resume is None and run.newest_checkpoint() is None:
             shutil.rmtree(run.folder, ignore_errors=True)  # nothing is lost
         raise
     if summary is None:

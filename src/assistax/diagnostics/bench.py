@@ -1,6 +1,7 @@
 """How fast is it here? Environment against bare engine, in turns, so that ratios hold on busy machines."""
 
 import dataclasses
+import math
 import time
 from typing import Any
 
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax.env import Env
+from assistax.errors import UsageError
 from assistax.physics import check_faults
 from assistax.settings import check_count
 from assistax.stamp import peak_memory_mb, stamp
@@ -24,6 +26,7 @@ def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
       reset_share: the part of the step time that auto-reset takes.
     """
     check_count("num_envs", num_envs)
+    check_seconds(seconds)
     keys = jax.random.split(jax.random.key(0), num_envs)
     began = time.perf_counter()
     _, state = jax.block_until_ready(jax.jit(jax.vmap(env.reset))(keys))
@@ -135,6 +138,12 @@ class _BareBatch:
             self.batch.ctrl = ctrl
             self.batch.step(nstep=self.substeps)
         return time.perf_counter() - began
+
+
+def check_seconds(seconds: float) -> None:
+    """Raise UsageError unless something can be measured in that time."""
+    if not 0 < seconds < math.inf:
+        raise UsageError(f"seconds must be above 0, not {seconds}.")
 
 
 def bench_training(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:

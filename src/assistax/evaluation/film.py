@@ -13,13 +13,16 @@ from assistax.errors import UsageError
 from assistax.files import write_atomically, writing
 from assistax.tasks import task_spec
 
-FILM_FORMATS = {".mp4": 25, ".webp": 10, ".png": 1}  # frames per second; .webp plays in web pages
+FILM_FORMATS = {".mp4": 25, ".webp": 10, ".gif": 10, ".png": 1}  # frames per second; .webp plays in web pages
 
 
 class Camera:
-    """Renders joint positions of one task's scene. Use as a context manager."""
+    """Renders joint positions of one task's scene. Use as a context manager, or `close` it."""
 
     def __init__(self, task: str, width: int = 640, height: int = 480, view: str = "main"):
+        for name, pixels in {"width": width, "height": height}.items():
+            if not 16 <= pixels <= 8192:
+                raise UsageError(f"The {name} of a picture must be from 16 to 8192 pixels, not {pixels}.")
         self.model = scenes.build(task_spec(task).scene).compile()
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
         self.data = mujoco.MjData(self.model)
@@ -36,6 +39,10 @@ class Camera:
         return self
 
     def __exit__(self, *_):
+        self.close()
+
+    def close(self) -> None:
+        """Give the graphics memory back; without it that ends in an error of OpenGL when Python stops."""
         self._renderer.close()
 
     def picture(self, qpos: np.ndarray, marker: np.ndarray) -> np.ndarray:
@@ -54,7 +61,7 @@ def check_format(path: Path) -> None:
 
 
 def film(task: str, qpos: np.ndarray, markers: np.ndarray, dt: float, path: Path, **camera) -> None:
-    """Film qpos [T, nq] with targets [T, 3], dt s apart, as .mp4 or .webp; for .png the last moment."""
+    """Film qpos [T, nq] with targets [T, 3], dt s apart, as .mp4, .webp or .gif; for .png the last moment."""
     import imageio.v3 as iio
 
     check_format(path)
@@ -63,11 +70,13 @@ def film(task: str, qpos: np.ndarray, markers: np.ndarray, dt: float, path: Path
         if path.suffix == ".png":
             write_atomically(path, iio.imwrite("<bytes>", cam.picture(qpos[-1], markers[-1]), extension=".png"))
             return
-        stride = max(1, round(1 / (rate * dt)))
-        frames = [cam.picture(q, m) for q, m in zip(qpos[::stride], markers[::stride], strict=True)]
-    if path.suffix == ".webp":
-        style: dict[str, Any] = {"duration": 1000 / rate, "loop": 0, "quality": 60, "method": 4}
-        write_atomically(path, iio.imwrite("<bytes>", frames, extension=".webp", **style))
+        # The step that is nearest to when a frame is shown: a film is as fast as what it shows.
+        shown = np.arange(max(1, int(len(qpos) * dt * rate))) / (rate * dt)
+        frames = [cam.picture(qpos[i], markers[i]) for i in np.minimum(np.round(shown).astype(int), len(qpos) - 1)]
+    if path.suffix in (".webp", ".gif"):
+        style: dict[str, Any] = {"duration": 1000 / rate, "loop": 0}
+        style |= {"quality": 60, "method": 4} if path.suffix == ".webp" else {}
+        write_atomically(path, iio.imwrite("<bytes>", frames, extension=path.suffix, **style))
         return
     # ffmpeg wants a file to go back and forth in, and does not always say that a disk is full.
     with writing(path), TemporaryDirectory() as folder, warnings.catch_warnings():

@@ -19,9 +19,11 @@ Tasks = Sequence[np.ndarray]
 # -- episodes ----------------------------------------------------------------------------------
 
 
-def bootstrap_ci(values, resamples: int = 10_000, seed: int = 0) -> Interval:
-    """95 % percentile-bootstrap interval of the mean of values [n]; (mean, mean) for one value."""
+def bootstrap_ci(values, resamples: int = 10_000, seed: int = 0) -> Interval | None:
+    """95 % percentile-bootstrap interval of the mean of values [n]; None for one value."""
     values = np.asarray(values, np.float64)
+    if len(values) < 2:
+        return None
     rng = np.random.default_rng(seed)
     rows = max(1, _MOST_DRAWN // len(values))  # at a time, so that memory does not grow with the values
     sizes = [min(rows, resamples - done) for done in range(0, resamples, rows)]

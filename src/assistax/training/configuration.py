@@ -1,7 +1,7 @@
 """What a training is asked for: one configuration, its defaults from a preset, and back from a run's config.json."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -81,8 +81,24 @@ class TrainConfig:
         return self.kind.trainer(env, self.method, self.num_envs, self.iterations, partners)
 
 
+# What is asked for with a flag of its own, and with which: a setting by that name would be a label that says nothing.
+FLAGS = {"task": "the task's name in front", "partners": "--partner"}
+FLAGS |= {name: f"--{name.replace('_', '-')}" for name in ("algorithm", "preset", "engine", "steps", "num_envs")}
+FLAGS |= {"seed": "--seed", "num_seeds": "--num-seeds"}
+
+
+def check_settings(settings: Iterable[str]) -> None:
+    """Raise UsageError for settings that have a flag of their own, or that no one sets."""
+    for name in settings:
+        if name in FLAGS:
+            raise UsageError(f"{name} is chosen by {FLAGS[name]}, not by --set.")
+        if name == "partner_copies":
+            raise UsageError("partner_copies is written by the program; leave it out.")
+
+
 def configure(task: str, settings: dict[str, Any], recurrent=False, share_parameters=False, **choices) -> TrainConfig:
     """A TrainConfig from a task's preset, then `choices` (fields), then `settings` ("ppo.gamma": 0.98)."""
+    check_settings(settings)
     spec = task_spec(task)
     given = {name: value for name, value in choices.items() if value is not None}
     algorithm = ALGORITHMS[given.get("algorithm", "ippo")]

@@ -58,19 +58,20 @@ class _Training:
     def go(self) -> dict[str, Any] | None:
         run, per_iteration = self.run, self.run.steps_per_iteration
         with self.stop:
+            print("Compiling, which takes some ten seconds.", file=sys.stderr)
             state, done, self.clock = self._start()
             collect, improve = self.seeds.jit(self.trainer.collect), self.seeds.jit(self.trainer.improve)
             total = run.iterations * per_iteration * run.config.num_seeds
             collecting = "policy" if self.engine.name == "mujoco" else "collect"  # others are part of the same program
-            saved = -math.inf  # the first iteration is saved at once, so that a run can always go on
+            saved = time.monotonic()
             leave = done == run.iterations
             with (
                 Journal(run.folder, "metrics") as self.metrics,
                 Journal(run.folder, "evaluations") as self.evaluations,
                 progress_bar(total, done * total // run.iterations) as bar,
             ):
-                if not leave:
-                    bar.set_description_str("compiling, some ten seconds")
+                if done == 0:
+                    self._save(state, done)  # before any row, so that a run that has rows can always go on
                 while not leave:
                     before = self.engine.seconds
                     with self.clock(collecting):
@@ -84,7 +85,6 @@ class _Training:
                     done += 1
                     rows = self._rows(done, [one["log"] for one in batches], self.seeds.each(losses))
                     self.metrics.write(rows)
-                    bar.set_description_str("", refresh=False)
                     bar.update(total // run.iterations)
                     if ended := [row for row in rows if row["episodes"]]:
                         mean = np.mean([row["episode"]["return"] for row in ended])
@@ -111,6 +111,8 @@ class _Training:
                     "the folder and train anew."
                 )
             run.write_config()
+            for name in ("metrics", "evaluations"):  # of what a crash has left of a first line
+                journal.keep(run.folder, name, 0)
             return self.seeds.init(self.trainer.init), 0, Clock({})
         about = check_checkpoint(path, run.config)
         _check_settings(run, about.get("settings", {}), path.name)
@@ -129,8 +131,9 @@ class _Training:
         run.write_config(about["steps"])
         for name in ("metrics", "evaluations"):
             journal.keep(run.folder, name, about["steps"])
-        if gap := self._missing(done)["metrics"]:
-            print(f"{run.folder}/metrics.jsonl lacks {gap} rows; curves have a gap there.", file=sys.stderr)
+        for name, gap in self._missing(done).items():
+            if gap:
+                print(f"{run.folder}/{name}.jsonl lacks {gap} rows; curves have a gap there.", file=sys.stderr)
         return state, done, Clock(about["seconds"])
 
     def _missing(self, done: int) -> dict[str, int]:

@@ -21,7 +21,7 @@ from assistax.formats import CONFIG
 from assistax.policies import Player, Team
 from assistax.settings import with_settings
 from assistax.stamp import stamp_changes
-from assistax.training.configuration import TrainConfig, to_json
+from assistax.training.configuration import TrainConfig, check_settings, to_json
 from assistax.training.partners import find_partners, keep_partners
 from assistax.training.run_folder import learned, newest_checkpoint, read_config
 from assistax.training.seeds import Seeds
@@ -79,6 +79,7 @@ class Run:
     @classmethod
     def open(cls, folder: Path, settings: Mapping[str, Any] | None = None, **changes) -> "Run":
         """Read a run folder; `changes` replace fields of its configuration, `settings` any by name ("ppo.gamma")."""
+        check_settings(settings or {})
         config = read_config(folder)
         changes = {name: value for name, value in changes.items() if value is not None}
         return cls(folder, with_settings(dataclasses.replace(config, **changes), settings or {}))

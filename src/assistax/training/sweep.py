@@ -59,6 +59,8 @@ class Sweep:
         self.folder, self.config, self.search, self.drawn = folder, config, dict(search), list(drawn)
         self.seeds = range(config.seed, config.seed + config.num_seeds)
         inputs = {f"{config.group}.{name}" for name in tunable(config.method)}
+        for name in search:  # a name that does not exist is told as such, not as one that takes choices
+            with_settings(config, {name: _value(config, name)})
         if compiled_in := set(intervals(search)) - inputs:
             known = ", ".join(sorted(inputs))
             raise UsageError(f"{min(compiled_in)} takes choices like A,B,C; an interval is possible for {known}.")
@@ -227,6 +229,12 @@ def read_sweep(folder: Path) -> tuple[TrainConfig, dict[str, str], list[dict[str
         raise UsageError(f"Cannot read {path}: what was drawn is not what was searched for.")
     config = stored_config(stored["config"], str(path))
     return config, stored["search"], stored["drawn"], stored["config"]["stamp"]
+
+
+def _value(config: TrainConfig, name: str) -> Any:
+    """The value of a setting; anything for one that does not exist."""
+    group, _, field = name.partition(".")
+    return getattr(config.method if group == config.group else config, field or group, None)
 
 
 class Program:

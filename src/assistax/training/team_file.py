@@ -19,7 +19,7 @@ from assistax.policies import Player, Team
 from assistax.settings import with_settings
 from assistax.tasks import TASKS, task_spec
 from assistax.training.checkpoint import EVERYTHING, load_checkpoint, read_metadata, save_checkpoint
-from assistax.training.configuration import TrainConfig, stored_config, to_json, trained_env
+from assistax.training.configuration import TrainConfig, check_settings, stored_config, to_json, trained_env
 
 TRAINED = Path(__file__).parents[1] / "trained"
 
@@ -62,6 +62,7 @@ def read_team(path: Path) -> TrainConfig:
 
 def load_team(path: Path, settings: Mapping[str, Any] | None = None, engine: str | None = None) -> tuple[Env, Team]:
     """The team in a file, and the environment it was trained in but for `settings`."""
+    check_settings(settings or {})
     config = read_team(path)
     if engine is not None:
         config = dataclasses.replace(config, engine=engine)

@@ -1,3 +1,0 @@
-from assistax.cli import main
-
-main()

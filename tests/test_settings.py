@@ -1,0 +1,94 @@
+"""Settings that cannot be are refused before anything is built, with one line that says why."""
+
+import math
+from pathlib import Path
+
+import imageio.v3 as iio
+import numpy as np
+import pytest
+from stored import small, stored_run, stored_team
+
+import assistax
+from assistax.diagnostics.bench import check_seconds
+from assistax.errors import UsageError
+from assistax.evaluation.film import Camera, film
+from assistax.evaluation.statistics import bootstrap_ci
+from assistax.training.configuration import DEFAULT_STEPS, FLAGS, configure
+from assistax.training.run import Run
+from assistax.training.sweep import Sweep
+from assistax.training.team_file import load_team
+
+
+@pytest.mark.parametrize("name", FLAGS)
+def test_what_has_a_flag_is_not_set_by_name(name, tmp_path):
+    run = stored_run(tmp_path / "run", small())
+    team = stored_team(tmp_path / "team.safetensors", small())
+    for use in (
+        lambda: configure("scratch", {name: 1}),
+        lambda: Run.open(run.folder, {name: 1}),
+        lambda: load_team(team, {name: 1}),
+    ):
+        with pytest.raises(UsageError, match=f"^{name} is chosen by "):
+            use()
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({"env.reset_noise": -1}, "env.reset_noise must be 0 or more, not -1"),
+        ({"env.force_limit": math.nan}, "env.force_limit must be a finite number"),
+        ({"env.num_threads": -2}, "env.num_threads must be 0 or more"),
+        ({"ppo.learning_rate": math.inf}, "ppo.learning_rate must be a finite number, not inf"),
+        ({"ppo.entropy_coef": math.nan}, "ppo.entropy_coef must be a finite number"),
+        ({"task_config.force": math.inf}, "task_config.force must be a finite number"),
+    ],
+)
+def test_impossible_numbers_are_refused(settings, words):
+    with pytest.raises(UsageError, match=words):
+        configure("scratch", settings)
+
+
+def test_the_rest_that_was_taken_though_wrong(tmp_path):
+    for seconds in (-1.0, 0.0, math.nan):
+        with pytest.raises(UsageError, match="seconds must be above 0"):
+            check_seconds(seconds)
+    with pytest.raises(UsageError, match="The width of a picture must be from 16 to 8192 pixels, not 0"):
+        Camera("scratch", width=0)
+    with pytest.raises(UsageError, match="Did you mean|Unknown setting 'ppo.nosuch'"):
+        Sweep.create(small(), tmp_path / "sweep", 2, {"ppo.nosuch": "1:2"})
+    assert bootstrap_ci([3.0]) is None
+
+
+def test_a_film_is_as_fast_as_what_it_shows(tmp_path, monkeypatch):
+    """Of 8 s at 125 Hz: each frame is of the step nearest to the time at which it is shown."""
+    shown, durations = [], []
+
+    class Recorder:
+        def __init__(self, *_, **__): ...
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_): ...
+        def picture(self, qpos, marker):
+            shown.append(qpos[0])
+            return np.full((16, 16, 3), len(shown) % 255, np.uint8)
+
+    monkeypatch.setattr("assistax.evaluation.film.Camera", Recorder)
+    steps = np.arange(1000.0)[:, None]
+    for suffix in (".webp", ".gif"):
+        shown.clear()
+        film("scratch", steps, steps, 0.008, tmp_path / f"a{suffix}")
+        frames = len(iio.imread(tmp_path / f"a{suffix}", index=None))
+        assert frames == len(shown) == 80
+        np.testing.assert_allclose(np.array(shown) * 0.008, np.arange(80) * 0.1, atol=0.0041)
+        durations.append(iio.immeta(tmp_path / f"a{suffix}", index=0).get("duration"))
+    assert durations[1] == 100
+
+
+def test_help_readme_and_code_agree_on_the_steps():
+    words = f"{DEFAULT_STEPS / 1e6:g} million"
+    for command in ("train", "sweep"):
+        text = __import__(f"assistax.cli.{command}", fromlist=[command]).__dict__[command].__doc__
+        assert f"(default {words}" in text
+    readme = Path(assistax.__file__).parents[2] / "README.md"
+    assert f"{words} steps by default" in readme.read_text()
