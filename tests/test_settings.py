@@ -3,9 +3,9 @@
 import math
 from pathlib import Path
 
-import imageio.v3 as iio
 import numpy as np
 import pytest
+from PIL import Image
 from stored import small, stored_run, stored_team
 
 import assistax
@@ -54,7 +54,7 @@ def test_the_rest_that_was_taken_though_wrong(tmp_path):
             check_seconds(seconds)
     with pytest.raises(UsageError, match="The width of a picture must be from 16 to 8192 pixels, not 0"):
         Camera("scratch", width=0)
-    with pytest.raises(UsageError, match="Did you mean|Unknown setting 'ppo.nosuch'"):
+    with pytest.raises(UsageError, match=r"ppo\.nosuch"):
         Sweep.create(small(), tmp_path / "sweep", 2, {"ppo.nosuch": "1:2"})
     assert bootstrap_ci([3.0]) is None
 
@@ -71,17 +71,17 @@ def test_a_film_is_as_fast_as_what_it_shows(tmp_path, monkeypatch):
         def __exit__(self, *_): ...
         def picture(self, qpos, marker):
             shown.append(qpos[0])
-            return np.full((16, 16, 3), len(shown) % 255, np.uint8)
+            return np.full((16, 16, 3), 255 * (len(shown) % 2), np.uint8)
 
     monkeypatch.setattr("assistax.evaluation.film.Camera", Recorder)
     steps = np.arange(1000.0)[:, None]
     for suffix in (".webp", ".gif"):
         shown.clear()
         film("scratch", steps, steps, 0.008, tmp_path / f"a{suffix}")
-        frames = len(iio.imread(tmp_path / f"a{suffix}", index=None))
+        frames = Image.open(tmp_path / f"a{suffix}").n_frames
         assert frames == len(shown) == 80
         np.testing.assert_allclose(np.array(shown) * 0.008, np.arange(80) * 0.1, atol=0.0041)
-        durations.append(iio.immeta(tmp_path / f"a{suffix}", index=0).get("duration"))
+        durations.append(Image.open(tmp_path / f"a{suffix}").info.get("duration"))
     assert durations[1] == 100
 
 
