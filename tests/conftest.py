@@ -1,6 +1,7 @@
 """Shared by all tests."""
 
 import os
+from pathlib import Path
 
 import jax
 import pytest
@@ -9,9 +10,29 @@ import assistax
 
 
 def pytest_configure(config):
-    """Before JAX first compiles: most of the suite's time is compiling what then runs for milliseconds."""
+    """Before JAX first compiles: most of the suite's time is compiling what then runs for milliseconds.
+
+    What was compiled is kept for the next time, by versions and flags, but for what calls back into Python, as the C
+    engine does; commands that are run as processes of their own share it.
+    """
+    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(caches / "assistax-tests"))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+    jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
+    jax.config.update(
+        "jax_persistent_cache_min_compile_time_secs", float(os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"])
+    )
     if config.option.markexpr == "not slow":
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Tests that share a fixture of their file run on one worker, for it is costly; others wherever there is time."""
+    for item in items:
+        defs = item._fixtureinfo.name2fixturedefs.values()
+        if any(found[-1].scope == "module" for found in defs) and not item.get_closest_marker("xdist_group"):
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
 
 
 @pytest.fixture(scope="session")

@@ -1,5 +1,7 @@
 """The command line as a user meets it: good runs, bad input, interruptions."""
 
+import contextlib
+import io
 import json
 import os
 import shutil
@@ -7,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +22,15 @@ SMALL += ["env.episode_length=16", "ppo.hidden=(8,8)", "evaluations=2", "evaluat
 
 
 def assistax(*args):
+    """What a command prints, without a process of its own, whose imports take longer than most commands."""
+    printed = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
+        patch.setattr(sys, "argv", ["assistax", *map(str, args)])
+        cli.main()
+    return SimpleNamespace(stdout=printed.getvalue())
+
+
+def process(*args):
     command = [sys.executable, "-m", "assistax", *map(str, args)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
@@ -103,7 +115,7 @@ def test_an_interrupted_run_goes_on(tmp_path):
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 130 and f"--resume {folder}" in errors
     done = int(checkpoint(folder).stem.split("_")[1])
-    assistax("train", "--resume", folder, "--steps", done + 128)
+    process("train", "--resume", folder, "--steps", done + 128)
     rows = [json.loads(line) for line in metrics.read_text().splitlines()]
     assert [row["steps"] for row in rows] == list(range(64, done + 129, 64))
 
@@ -194,7 +206,7 @@ def children_seconds():
 
 def test_help_is_instant_and_teaches():
     used = children_seconds()
-    text = assistax("train", "--help").stdout
+    text = process("train", "--help").stdout
     assert children_seconds() - used < 2.0
     assert "For example" in text and "--resume" in text
     imported = subprocess.run(

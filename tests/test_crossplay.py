@@ -1,11 +1,13 @@
 """Cross-play: every cell is its own pair, in the person's environment."""
 
+from dataclasses import dataclass
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import assistax
 from assistax.errors import UsageError
-from assistax.evaluation.playing import evaluate
 from assistax.learning.actors import Actor
 from assistax.policies import Player, scripted_policy, scripted_team
 from assistax.teamwork import crossplay
@@ -18,16 +20,29 @@ def entrant(name, env):
     return Entrant(name, env, scripted_team(name, env))
 
 
+@dataclass(frozen=True)
+class Steady:
+    """Does the same at every step; its parameters are the action."""
+
+    def initial_carry(self):
+        return ()
+
+    def act(self, params, carry, obs, reset, key):
+        return params, carry
+
+
 def test_rows_are_robots_and_columns_persons_with_their_bodies(scratch):
     """Against pairs put together by hand."""
-    trembling = assistax.make("scratch", engine="mujoco", episode_length=20, human={"disability": "tremor"})
-    report = cross_play([entrant("random", scratch), entrant("withdraw", trembling)], EPISODES)
-    assert report["robots"] == report["persons"] == ["random", "withdraw"] and report["task"] == "scratch-v0"
-    for i, robot in enumerate(("random", "expert")):
-        for j, (human, env) in enumerate((("random", scratch), ("withdraw", trembling))):
-            names = {"robot": robot, "human": human}
-            pair = {agent: Player(scripted_policy(name, env, agent)) for agent, name in names.items()}
-            wanted = evaluate(env, pair, EPISODES)
+    envs = (scratch, assistax.make("scratch", engine="mujoco", episode_length=20, human={"disability": "tremor"}))
+    does = [{agent: jnp.full(n, much) for agent, n in scratch.action_sizes.items()} for much in (0.7, -0.5)]
+    teams = [{agent: Player.of(Steady(), params[agent]) for agent in params} for params in does]
+    entrants = [Entrant(*one) for one in zip(("up", "down"), envs, teams, strict=True)]
+    report = cross_play(entrants, EPISODES)
+    assert report["robots"] == report["persons"] == ["up", "down"] and report["task"] == "scratch-v0"
+    for j, env in enumerate(envs):
+        evaluator = Evaluator(env, EPISODES)
+        for i in range(2):
+            wanted = summarize(evaluator({"robot": teams[i]["robot"], "human": teams[j]["human"]}))
             np.testing.assert_allclose(report["return"][i][j], wanted["mean_return"], rtol=1e-5)
             np.testing.assert_allclose(report["force_in_contact"][i][j], wanted["force"]["mean_in_contact"], rtol=1e-4)
             assert report["success"][i][j] == wanted["success_rate"]

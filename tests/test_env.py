@@ -145,6 +145,29 @@ def test_reward_terms_equal_the_papers_formulas_in_float64(scratch):
     assert active > 0.01
 
 
+def test_work_and_force_over_the_limit_are_sums_over_mujocos_own_numbers(scratch):
+    """Torque times speed of every actuated joint, in J, and the seconds in which the robot pushes too hard."""
+    limit = 1.0
+    env = assistax.make("scratch", engine="mujoco", episode_length=20, force_limit=limit)
+    work, over, peak, metrics = {"robot": 0.0, "human": 0.0}, 0.0, 0.0, {}
+    for before, actions, _, _, _, info in rollout_states(env, 15, start_touching=True):
+        data, model = mujoco_says(env, before, actions), env.model
+        joints = model.actuator_trnid[:, 0]
+        dofs = model.jnt_dofadr[joints]
+        power = np.abs(data.qfrc_actuator[dofs] * joints_after(model, data)[1][dofs])
+        is_robot = np.array([model.joint(j).name in scenes.ROBOT_JOINTS for j in joints])
+        work["robot"] += power[is_robot].sum() * env.dt
+        work["human"] += power[~is_robot].sum() * env.dt
+        force = np.linalg.norm(contact_force(model, data, tool_only=False))
+        over += env.dt * (force > limit)
+        peak, metrics = max(peak, force), info["metrics"]
+    assert 0 < over < 15 * env.dt
+    for agent, expected in work.items():
+        np.testing.assert_allclose(metrics[f"work_{agent}"], expected, rtol=2e-3)
+    np.testing.assert_allclose(metrics["seconds_over_force_limit"], over, rtol=1e-5)
+    np.testing.assert_allclose(metrics["peak_force"], peak, rtol=2e-3)
+
+
 def test_sizes_are_the_specifications(scratch):
     assert scratch.observation_sizes == {"robot": 34, "human": 38}
     assert scratch.global_size == 52

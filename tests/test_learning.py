@@ -66,6 +66,51 @@ def test_gaussian_against_scipy():
     np.testing.assert_allclose(gaussian_entropy(jnp.log(std)), expected.entropy().sum(), rtol=1e-5)
 
 
+def judged(**settings):
+    """(loss, statistics by agent) on three samples whose values the rollout knew otherwise, see below."""
+    ppo = PPO(Meeting(), PPOConfig(hidden=(4,), num_minibatches=1, normalize_obs=False, **settings), 4, 1)
+    params = ppo._init_params(ppo.config, jax.random.key(0))
+    obs = {agent: jnp.linspace(-1.0, 1.0, 3 * n).reshape(3, n) for agent, n in Meeting.observation_sizes.items()}
+    part = {"obs": obs, "reset": jnp.zeros(3, bool)}
+    for agent, n in Meeting.action_sizes.items():
+        part[agent] = {"action": jnp.zeros((3, n)), "log_prob": jnp.zeros(3), "advantage": jnp.array([-1.0, 0.0, 1.0])}
+        values = np.asarray(ppo._value(params[agent]["critic"], agent, obs, ()), np.float64)
+        # The first value has moved up by 0.5 since the rollout, the second down by 0.1, the third not at all.
+        part[agent] |= {"value": values - np.array([0.5, -0.1, 0.0]), "target": values + np.array([1.0, 2.0, 3.0])}
+    return ppo._loss(ppo.config, params, part, {"robot": (), "human": ()})
+
+
+def test_the_entropy_bonus_rewards_noise():
+    """The loss falls by its coefficient times the entropy of a standard normal in three dimensions of action."""
+    fell = judged(entropy_coef=0.0)[0] - judged(entropy_coef=0.5)[0]
+    np.testing.assert_allclose(fell, 0.5 * 3 * scipy_stats.norm.entropy(), rtol=1e-4)
+
+
+def test_value_clipping_takes_the_worse_error_of_the_value_and_its_clipped_change():
+    plain, clipped = (judged(clip_value=c, clip_eps=0.2)[1]["robot"]["value_loss"] for c in (False, True))
+    np.testing.assert_allclose(plain, 0.5 * np.mean([1.0, 4.0, 9.0]), rtol=1e-4)
+    # The first may have moved up by 0.2 only, so that it is 0.3 lower and 1.3 away; the others moved by less.
+    np.testing.assert_allclose(clipped, 0.5 * np.mean([1.3**2, 4.0, 9.0]), rtol=1e-4)
+
+
+def test_the_learning_rate_falls_in_a_line_to_zero():
+    """The same step after 0, 1, 2, 3 of 4 updates, with annealing and without."""
+    moved = {}
+    for anneal in (False, True):
+        settings = {"num_minibatches": 1, "update_epochs": 1, "num_steps": 4, "hidden": (4,)}
+        ppo = PPO(Meeting(), PPOConfig(anneal_learning_rate=anneal, learning_rate=1e-2, **settings), 2, 4)
+        state, batch = jax.jit(lambda key, ppo=ppo: ppo.collect(ppo.init(key)))(jax.random.key(0))
+        improve = jax.jit(ppo.improve)
+        for done in range(4):
+            adam = state.opt_state[0]._replace(count=jnp.int32(done))
+            after, _ = improve(replace(state, opt_state=(adam, *state.opt_state[1:])), batch)
+            change = jax.tree.map(lambda x, y: y - x, state.params, after.params)["robot"]["critic"]
+            moved[anneal, done] = np.concatenate([np.ravel(x) for x in jax.tree.leaves(change)])
+    for done in range(4):
+        np.testing.assert_allclose(moved[True, done], (1 - done / 4) * moved[False, done], atol=1e-6)
+        assert np.abs(moved[False, done]).max() > 1e-3
+
+
 def test_normaliser_equals_the_statistics_of_all_data():
     data = np.random.default_rng(0).normal(3.0, 2.0, (3, 50, 4)).astype(np.float32)
     stats = init_stats(4)
@@ -455,6 +500,15 @@ def test_a_step_costs_the_same_with_630_members_as_with_two():
 
 
 # -- resuming ---------------------------------------------------------------------------------------
+
+
+def test_what_an_older_checkpoint_lacks_is_zero_only_if_it_may_be(tmp_path):
+    save_checkpoint(tmp_path / "c", {"a": jnp.ones(2)}, {})
+    like = {"a": jnp.zeros(2), "seed": jnp.ones((3, 2), jnp.uint32)}
+    loaded = load_checkpoint(tmp_path / "c", like, optional={"['seed']"})
+    np.testing.assert_array_equal(loaded["seed"], np.zeros((3, 2), np.uint32))
+    with pytest.raises(UsageError, match="it has no"):
+        load_checkpoint(tmp_path / "c", like)
 
 
 def test_resume_equals_uninterrupted_to_the_bit_with_memory_and_partners(scratch, tmp_path):

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from kinematics import touching_pose
+from mujoco import mjx
 
 from assistax import scenes
 from assistax.errors import SimulationError
@@ -83,15 +84,30 @@ def test_c_engine_is_mujoco_to_the_bit(model, engine, pressing):
             np.testing.assert_array_equal(got_sensors[t, env], data.sensordata.astype(np.float32))
 
 
-def test_warp_agrees_with_c_over_50_steps_in_contact(model, engine, pressing):
-    first_c, qpos_c, sensors_c, _ = run(engine, *pressing)
-    first_w, qpos_w, sensors_w, state = run(make_engine("warp", model), *pressing)
+@pytest.mark.parametrize("steps", [8, pytest.param(50, marks=pytest.mark.slow)])
+def test_warp_agrees_with_c_in_contact(model, engine, pressing, steps):
+    qpos, ctrl = pressing
+    first_c, qpos_c, sensors_c, _ = run(engine, qpos, ctrl[:steps])
+    first_w, qpos_w, sensors_w, state = run(make_engine("warp", model), qpos, ctrl[:steps])
     force_c, force_w = forces(model, sensors_c), forces(model, sensors_w)
     assert (force_c[..., 0] > 0.5).mean() > 0.3  # the tool does touch
     np.testing.assert_allclose(first_w, first_c, atol=2e-3 * np.abs(first_c).max())
     np.testing.assert_allclose(qpos_w, qpos_c, atol=1e-3)
     np.testing.assert_allclose(force_w, force_c, atol=0.05 * force_c.max())
     check_faults(state.fault, "warp")
+
+
+def test_mjx_reads_the_forces_that_mujoco_has(model, pressing):
+    """From the same contacts: compiling all of MJX takes minutes, so that its steps are compared in slow tests."""
+    engine, data = make_engine("mjx", model), mujoco.MjData(model)
+    for qpos in np.asarray(pressing[0]):
+        data.qpos = qpos
+        mujoco.mj_forward(model, data)
+        read, _ = engine._read(mjx.put_data(model, data, impl="jax"))
+        for name in ("tool_force", "robot_force"):
+            place = scenes.sensor_slices(model)[name]
+            assert np.linalg.norm(data.sensordata[place]) > 0.5
+            np.testing.assert_allclose(read[place], data.sensordata[place], rtol=1e-4, atol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["mujoco", "warp"])

@@ -176,7 +176,7 @@ TRAIN = """
 import sys
 from pathlib import Path
 import assistax.training.loop as loop
-from assistax.training.run import Run
+
 loop.CHECKPOINT_SECONDS = 0.1
 loop.train(Run.open(Path(sys.argv[1])))
 """

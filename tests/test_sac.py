@@ -19,7 +19,7 @@ from assistax.learning.sac import SAC, SACConfig, temperature_loss
 from assistax.learning.sac.replay import Packing, add, init_replay, sample
 from assistax.learning.squashed import log_tanh_slope, sample_squashed, split_head, squashed_log_prob
 from assistax.learning.tuned import tunable
-from assistax.policies import Player
+from assistax.policies import Player, Still
 from assistax.training.checkpoint import load_checkpoint, save_checkpoint
 
 
@@ -183,7 +183,9 @@ def test_soft_targets_by_hand(joint):
         for critic, says in zip(pair, (3.0, 5.0), strict=True):
             critic[-1]["b"] += says / 2.0  # networks say what a step is worth, and look two ahead
     n = 20_000
-    x = {"reward": jnp.ones(n), "terminated": jnp.arange(n) % 2 == 0, "next_others": {}}
+    rewards = {"team": 1.0, "robot": 1.0, "human": -2.0}
+    x = {"reward": {name: jnp.full(n, rewards[name]) for name in trainer._critics}, "next_others": {}}
+    x["terminated"] = jnp.arange(n) % 2 == 0
     seen = {"robot": jnp.zeros((n, 2)), "human": jnp.zeros((n, 1)), "global": jnp.zeros((n, 2))}
     targets = trainer.soft_targets(trainer.config, params, x, seen, jax.random.key(0))
 
@@ -213,7 +215,7 @@ def test_transitions_end_in_the_true_final_observation(terminating):
     np.testing.assert_array_equal(then[..., 0], seen[..., 0])  # the height of the episode that ended
     np.testing.assert_array_equal(rows["terminated"][:, 0], terminating * np.array([0, 0, 1, 0, 0, 1]))
     expected = jax.vmap(jax.vmap(Carrying.reward))(seen[..., 0], rows["actions"]["robot"], rows["actions"]["human"])
-    np.testing.assert_allclose(rows["reward"], expected, rtol=1e-5)
+    np.testing.assert_allclose(rows["reward"]["team"], expected, rtol=1e-5)
 
 
 @pytest.mark.parametrize(("joint", "terminating"), [(True, False), (False, True)])
@@ -235,6 +237,22 @@ def test_values_go_on_through_time_limits_and_not_through_ends(joint, terminatin
             continue  # it does not see the clock
         for value in trainer._judge(trainer.config, name, pair, seen, rows["actions"]):
             np.testing.assert_allclose(value, np.where(late, 1.0, 1.5) if terminating else 2.0, atol=0.15)
+
+
+@pytest.mark.parametrize(
+    ("joint", "seats", "expected"),
+    [
+        (False, (), {"robot": -1.0, "human": 3.0}),
+        (False, ("robot",), {"human": 3.0}),
+        (True, (), {"team": 1.0}),  # the mean of the learners'
+        (True, ("robot",), {"team": 3.0}),
+    ],
+)
+def test_every_critic_foresees_the_rewards_of_its_own_learners(joint, seats, expected):
+    partners = {agent: Player(Still(Carrying.action_sizes[agent])) for agent in seats}
+    trainer = SAC(Carrying(), SACConfig(joint_critics=joint), 2, 1, partners)
+    rewards = {"robot": -1.0, "human": 3.0}
+    assert {name: trainer._reward(rewards, agents) for name, (_, agents) in trainer._critics.items()} == expected
 
 
 # -- learning --------------------------------------------------------------------------------------
@@ -418,7 +436,7 @@ def bare_loop(trainer, params, batch):
         human, human_log = draw(params["actor"]["human"], then["human"], k[1])
         value = jnp.minimum(*[judge(q, then, robot, human) for q in params["target"]["team"]])
         value = value - alpha["robot"] * robot_log - alpha["human"] * human_log
-        y = batch["reward"] + 0.99 * (1.0 - batch["terminated"]) * value
+        y = batch["reward"]["team"] + 0.99 * (1.0 - batch["terminated"]) * value
 
         def critic_loss(critic):
             actions = batch["actions"]

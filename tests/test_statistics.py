@@ -62,6 +62,14 @@ def test_coverage_of_the_mean_over_seeds(n):
     assert covered(0.5, zip(pooled.mean(1) - half, pooled.mean(1) + half, strict=True)) < 0.5
 
 
+@pytest.mark.parametrize(("n", "spread", "expected"), [(3, 0.1, 0.76), (3, 0.01, 0.47), (12, 0.01, 0.93)])
+def test_coverage_where_one_seed_in_five_fails_is_what_the_docstring_says(n, spread, expected):
+    rng = np.random.default_rng(n)
+    draws = (rng.random((600, n)) > 0.2) + spread * rng.normal(size=(600, n))
+    rate = covered(0.8, [seed_ci([scores], resamples=200) for scores in draws])
+    assert abs(rate - expected) < 0.06
+
+
 @pytest.mark.parametrize("statistic", [mean, iqm])
 @pytest.mark.parametrize("n", [2, 3, 12])
 def test_coverage_of_an_aggregate(statistic, n):

@@ -126,7 +126,7 @@ def alone(config, seeds):
     def iteration(state):
         state, batch = trainer.collect(state)
         if config.group == "sac":  # the newest rows of the replay
-            rewards = jax.lax.dynamic_slice_in_dim(state.replay.rows["reward"], state.iteration * 80, 80)
+            rewards = jax.lax.dynamic_slice_in_dim(state.replay.rows["reward"]["robot"], state.iteration * 80, 80)
         else:
             rewards = batch["rewards"]["robot"]
         return trainer.improve(state, batch)[0], rewards.mean()

@@ -3,12 +3,17 @@
 import pytest
 
 from assistax.evaluation.playing import play
-from assistax.training.team_file import TRAINED, load_team, trained_file
+from assistax.tasks import TASKS
+from assistax.training.team_file import load_team, trained_file
+
+# What each reaches in 64 episodes is in results/README.md: 98 % in bed bath, 100 % elsewhere.
+LEAST = {"scratch": 1.0, "bed_bath": 0.75, "arm_assist": 1.0, "feeding": 1.0, "tooth_brushing": 1.0}
 
 
-@pytest.mark.parametrize("path", sorted(TRAINED.glob("*.safetensors")), ids=lambda path: path.stem)
-def test_a_trained_team_succeeds(path):
-    assert path == trained_file(path.stem) and path.stat().st_size < 150_000
+@pytest.mark.parametrize("task", TASKS)
+def test_a_trained_team_comes_with_every_task_and_succeeds(task):
+    path = trained_file(task)
+    assert path.stat().st_size < 150_000
     env, team = load_team(path, engine="mujoco")
-    assert env.name == path.stem
-    assert play(env, team, 8)["metrics"]["success"].mean() >= 0.5
+    assert env.name == task
+    assert play(env, team, 8)["metrics"]["success"].mean() >= LEAST[task]

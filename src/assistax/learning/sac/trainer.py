@@ -2,9 +2,10 @@
 
 Every learning agent has an actor on its own observation. In MASAC one pair of critics judges the
 team: it sees the global observation and everybody's actions, and its soft value counts the entropy
-of every learner. In ISAC each learner has a pair of critics of its own, on its own observation and
-action. One iteration is `collect`, then `improve`; both are pure functions of a SACState, to be
-jitted with the state donated (the replay is then written in place) and, over seeds, vmapped.
+of every learner; where their rewards differ, the team's is the mean of the learners'. In ISAC each
+learner has a pair of critics of its own, on its own observation, action and reward. One iteration is
+`collect`, then `improve`; both are pure functions of a SACState, to be jitted with the state donated
+(the replay is then written in place) and, over seeds, vmapped.
 """
 
 from collections.abc import Mapping
@@ -119,7 +120,7 @@ class SAC:
             "next_obs": row[0],
             "actions": {agent: jnp.zeros(size) for agent, size in env.action_sizes.items()},
             "next_others": jax.tree.map(lambda x: x[0], others),
-            "reward": jnp.float32(0.0),
+            "reward": dict.fromkeys(self._critics, jnp.float32(0.0)),
             "terminated": jnp.bool_(False),
         }
         shape = self.num_envs, self.policy(deterministic=False).longest_action
@@ -188,7 +189,7 @@ class SAC:
                 "actions": actions,
                 # Nobody acts on the last observation of an episode; a partner's last action stands in there.
                 "next_others": jax.tree.map(partial(_where, done), others, next_others),
-                "reward": rewards[self.learners[0]],
+                "reward": {name: self._reward(rewards, agents) for name, (_, agents) in self._critics.items()},
                 "terminated": terminated["__all__"],  # not at a time limit: there the value goes on
             }
             log = step_log(info, done & (t >= env.episode_length * c.stagger))
@@ -212,6 +213,11 @@ class SAC:
             key=key,
         )
         return state, {"log": iteration_log(log)}
+
+    def _reward(self, rewards, agents) -> jax.Array:
+        """What a critic of these agents is to foresee: the learners' reward, or their mean where rewards differ."""
+        own = [rewards[agent] for agent in agents if agent in self.learners]
+        return sum(own) / len(own)
 
     def _partners_act(self, partner_state, env_state, obs, reset, key):
         """The partners' actions as the joints receive them, for the critics must not see more."""
@@ -299,7 +305,7 @@ class SAC:
             value = jnp.minimum(*self._judge(c, name, params["target"][name], next_seen, actions))
             for agent in (a for a in agents if a in self.learners):
                 value -= jnp.exp(params["log_alpha"][agent]) * log_probs[agent]
-            targets[name] = x["reward"] + goes_on * value
+            targets[name] = x["reward"][name] + goes_on * value
         return targets
 
     def _see(self, row, normalizer) -> dict[str, jax.Array]:
