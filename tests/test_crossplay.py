@@ -8,6 +8,7 @@ import pytest
 
 import assistax
 from assistax.errors import UsageError
+from assistax.evaluation.playing import Evaluator, summarize
 from assistax.learning.actors import Actor
 from assistax.policies import Player, scripted_policy, scripted_team
 from assistax.teamwork import crossplay

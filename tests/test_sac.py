@@ -240,7 +240,7 @@ def test_values_go_on_through_time_limits_and_not_through_ends(joint, terminatin
 
 
 @pytest.mark.parametrize(
-    ("joint", "seats", "expected"),
+    ("joint", "frozen", "expected"),
     [
         (False, (), {"robot": -1.0, "human": 3.0}),
         (False, ("robot",), {"human": 3.0}),
@@ -248,8 +248,8 @@ def test_values_go_on_through_time_limits_and_not_through_ends(joint, terminatin
         (True, ("robot",), {"team": 3.0}),
     ],
 )
-def test_every_critic_foresees_the_rewards_of_its_own_learners(joint, seats, expected):
-    partners = {agent: Player(Still(Carrying.action_sizes[agent])) for agent in seats}
+def test_every_critic_foresees_the_rewards_of_its_own_learners(joint, frozen, expected):
+    partners = {agent: Player(Still(Carrying.action_sizes[agent])) for agent in frozen}
     trainer = SAC(Carrying(), SACConfig(joint_critics=joint), 2, 1, partners)
     rewards = {"robot": -1.0, "human": 3.0}
     assert {name: trainer._reward(rewards, agents) for name, (_, agents) in trainer._critics.items()} == expected
