@@ -93,6 +93,7 @@ class Env:
         self.spec, self.config = task_spec(task), config
         self.name = self.spec.id
         scene = dataclasses.replace(self.spec.scene, control=config.control)
+        self.robot = scene.arm
         self.model = model = scenes.build(scene, visuals=False).compile()
         self.engine = make_engine(
             engine,
@@ -108,16 +109,16 @@ class Env:
         self._slices = scenes.sensor_slices(model)
         driven = scene.human_driven
         self._body = disability.Body(model, driven)
-        self.action_sizes = {"robot": len(scenes.ROBOT_JOINTS), "human": len(driven)}
+        self.action_sizes = {"robot": len(self.robot.joints), "human": len(driven)}
         self._gathers = {
-            "torque_robot": self._columns("torque_", scenes.ROBOT_JOINTS),
+            "torque_robot": self._columns("torque_", self.robot.joints),
             "torque_human": self._columns("torque_", driven),
         }
-        joints = {"robot": scenes.ROBOT_JOINTS, "human": scenes.HUMAN_JOINTS, "driven": driven}
+        joints = {"robot": self.robot.joints, "human": scenes.HUMAN_JOINTS, "driven": driven}
         self._joints = {name: scenes.qpos_ids(model, which) for name, which in joints.items()}
         key = model.key("start")
         movable = np.zeros(model.nq)
-        movable[scenes.qpos_ids(model, (*scenes.HUMAN_JOINTS, *scenes.ROBOT_JOINTS))] = 1.0
+        movable[scenes.qpos_ids(model, (*scenes.HUMAN_JOINTS, *self.robot.joints))] = 1.0
         self._start, self._noise = jnp.asarray(key.qpos), jnp.asarray(config.reset_noise * movable)
         limits = jnp.asarray(model.actuator_ctrlrange[len(driven) :])
         self._ctrl_mid, self._ctrl_half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2

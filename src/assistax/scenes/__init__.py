@@ -9,14 +9,13 @@ from assistax.scenes.build import (
     NECK,
     POSTURES,
     RIGHT_ARM,
-    ROBOT_JOINTS,
-    ROBOT_TORQUE,
     Posture,
     SceneConfig,
     build,
     qpos_ids,
     sensor_slices,
 )
+from assistax.scenes.robots import PANDA, ROBOTS, RobotSpec, register_robot
 
 __all__ = [
     "BED_VIEW",
@@ -25,13 +24,15 @@ __all__ = [
     "LEFT_ARM",
     "MEAL_VIEW",
     "NECK",
+    "PANDA",
     "POSTURES",
     "RIGHT_ARM",
-    "ROBOT_JOINTS",
-    "ROBOT_TORQUE",
+    "ROBOTS",
     "Posture",
+    "RobotSpec",
     "SceneConfig",
     "build",
     "qpos_ids",
+    "register_robot",
     "sensor_slices",
 ]
