@@ -9,6 +9,7 @@ import pytest
 from stored import small, store_checkpoint, stored_run, stored_team
 
 from assistax.errors import UsageError
+from assistax.policies import Player, Still
 from assistax.training.checkpoint import load_checkpoint, save_checkpoint
 from assistax.training.configuration import to_json, trained_env
 from assistax.training.partners import find_partner
@@ -129,3 +130,15 @@ def test_weights_that_are_not_numbers_are_named(tmp_path):
     for use in (lambda: load_team(path), lambda: Run.create(small(partners=(f"robot={path}",)), tmp_path / "run")):
         with pytest.raises(UsageError, match=r"team\.safetensors is damaged: \['robot'\].* not finite"):
             use()
+
+
+def test_ones_own_player_trains_and_resumes_where_it_is_given(tmp_path):
+    env_size = 3
+    mine = {"human": Player(Still(env_size))}
+    run = Run.create(small(), tmp_path / "run", mine)
+    assert run.trainer.learners == ("robot",) and run.config.partners == ("human=given",)
+    store_checkpoint(run, 64)
+    with pytest.raises(UsageError, match="a player that Python code has made"):
+        Run.open(run.folder)
+    again = Run.open(run.folder, players=mine)
+    assert again.teams()[0]["human"] is mine["human"] and again.teams()[0]["robot"].members == 1
