@@ -137,7 +137,7 @@ def test_reward_terms_equal_the_papers_formulas_in_float64(scratch):
         np.testing.assert_allclose(rewards["robot"], sum(info["reward_terms"].values()), rtol=1e-6)
         np.testing.assert_array_equal(rewards["robot"], rewards["human"])
         np.testing.assert_allclose(
-            info["force"],
+            info["robot_force"],
             np.linalg.norm(contact_force(env.model, data, tool_only=False)),
             rtol=2e-3,
             atol=1e-3,

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax import scenes
+from assistax.episode import Bookkeeping, Sums
 from assistax.errors import UsageError, choose
 from assistax.human import HumanConfig, HumanProfile, disability, preference
 from assistax.physics import PhysicsState, make_engine
@@ -65,10 +66,10 @@ class EnvState:
     task: TaskState
     person: HumanProfile
     phase: jax.Array  # [human's actions] rad, of the tremor
-    force: jax.Array  # N, of the tool on the person in the step before
+    tool_force: jax.Array  # N, of the tool on the person in the step before
     t: jax.Array  # int32, control steps since the reset
     seed: jax.Array  # uint32 [2], what the next automatic reset draws with, beside the step's key
-    episode: dict[str, jax.Array]  # sums and peaks over the episode so far, see Env.metrics
+    episode: Sums  # so far, see episode.py
 
 
 class _Start(NamedTuple):
@@ -124,6 +125,7 @@ class Env:
         self._ctrl_mid, self._ctrl_half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
         if config.control == "torque":
             self._ctrl_half *= config.torque_scale
+        self._books = Bookkeeping(self.dt, config.force_limit, config.human.preferring)
         self._draw_where = whole_batch(self._draw_batch)
         self._layouts = self._measure_layouts()
         sizes = {who: max(place.stop for place in layout.values()) for who, layout in self._layouts.items()}
@@ -159,7 +161,7 @@ class Env:
           truncated: by agent and "__all__"; the time limit, bootstrap through it.
           info: "final_observation" by agent and "final_global_observation", true also where a reset
             followed; "reward_terms" by name; "metrics" of the episode up to and with this step;
-            "force" on the person in N; "fault" of the engine.
+            "robot_force" on the person in N; "fault" of the engine.
         """
         obs, end, rewards, terminated, truncated, info = self.step_env(key, state, actions)
         done = terminated["__all__"] | truncated["__all__"]
@@ -181,24 +183,24 @@ class Env:
         s = self.sensors(physics)
         task = self.task.advance(s, state.task)
         terms = self.task.reward_terms(s, task)
-        liked = self._preference_terms(s, state, actions)
+        preferred = self._preference_terms(s, state, actions)
         force = norm(s["robot_force"])
         state = dataclasses.replace(
             state,
             physics=physics,
             task=task,
-            force=norm(s["tool_force"]),
+            tool_force=norm(s["tool_force"]),
             t=state.t + 1,
-            episode=self._book(state.episode, s, force, sum(terms.values()), sum(liked.values())),
+            episode=self._books.add(state.episode, s, force, sum(terms.values()), sum(preferred.values())),
         )
-        terms |= liked
+        terms |= preferred
         reward = sum(terms.values())
         terminated = self.task.terminated(task)
         truncated = (state.t >= self.config.episode_length) & ~terminated
         info = {
             "reward_terms": terms,
             "metrics": self.metrics(state),
-            "force": force,
+            "robot_force": force,
             "fault": physics.fault,
         }
         everyone = (*AGENTS, "__all__")
@@ -275,11 +277,8 @@ class Env:
         return map_where(draw, done, blank, keys, seeds)
 
     def _begin(self, physics: PhysicsState, start: _Start, t) -> EnvState:
-        names = ["return", "peak_force", "seconds_over_force_limit", "work_robot", "work_human"]
-        if self.config.human.preferring:
-            names += ["task_return", "preference_return"]
-        episode = {name: jnp.float32(0.0) for name in names}
-        return EnvState(physics, start.task, start.person, start.phase, jnp.float32(0.0), t, start.seed, episode)
+        sums = self._books.start()
+        return EnvState(physics, start.task, start.person, start.phase, jnp.float32(0.0), t, start.seed, sums)
 
     def _ctrl(self, actions: Obs) -> jax.Array:
         robot, human = (jnp.clip(actions[agent], -1.0, 1.0) for agent in AGENTS)
@@ -296,8 +295,8 @@ class Env:
             return {}
         action = jnp.clip(actions["robot"], -1.0, 1.0)
         speed, force = norm(s["tool_vel"]), norm(s["tool_force"])
-        liked = state.person.preference
-        return preference.reward_terms(liked, speed, force, state.force, action, self.spec.preference_budget)
+        wanted, before = state.person.preference, state.tool_force
+        return preference.reward_terms(wanted, speed, force, before, action, self.spec.preference_budget)
 
     def _blocks(self, state: EnvState) -> dict[str, jax.Array]:
         """All observation blocks by name, in the order of the paper's observation table."""
@@ -338,23 +337,6 @@ class Env:
                 end += size
             layouts[agent] = seen
         return layouts
-
-    def _book(self, episode, s: Sensors, force, task_reward, preference_reward):
-        work_robot = jnp.abs(s["torque_robot"] * s["dtheta_robot"]).sum() * self.dt
-        work_human = jnp.abs(s["torque_human"] * s["dtheta_driven"]).sum() * self.dt
-        over = self.dt * (force > self.config.force_limit)
-        if self.config.human.preferring:
-            apart = {"task_return": task_reward, "preference_return": preference_reward}
-            apart = {name: episode[name] + reward for name, reward in apart.items()}
-        else:
-            apart = {}
-        return apart | {
-            "return": episode["return"] + task_reward + preference_reward,
-            "peak_force": jnp.maximum(episode["peak_force"], force),
-            "seconds_over_force_limit": episode["seconds_over_force_limit"] + over,
-            "work_robot": episode["work_robot"] + work_robot,
-            "work_human": episode["work_human"] + work_human,
-        }
 
 
 _SEED = 1_000_000  # folded into a reset's key for the state's seed; a split into four may be a fold of 0 to 3

@@ -80,7 +80,7 @@ class Evaluator:
                 actions[agent], carries[agent] = act(params[agent], carries[agent], seen, first, k)
             obs, state, _, terminated, truncated, info = env.step_env(key, state, actions)
             still_on = playing & ~(terminated["__all__"] | truncated["__all__"])
-            out = {k: info[k] for k in ("reward_terms", "metrics", "force", "fault")}
+            out = {k: info[k] for k in ("reward_terms", "metrics", "robot_force", "fault")}
             out |= {"playing": playing, "qpos": state.physics.qpos, "marker": env.markers(state)}
             return (state, obs, carries, still_on, jnp.bool_(False)), out
 
@@ -93,7 +93,8 @@ class Evaluator:
             "metrics": jax.tree.map(lambda x: x[last], out["metrics"]),
             "person": person,
             "fault": jnp.where(on, out["fault"], 0).max(),
-            **{name: out[name] for name in ("force", *_SERIES)},
+            "force": out["robot_force"],
+            **{name: out[name] for name in _SERIES},
         }
 
 
