@@ -71,7 +71,7 @@ def test_log_probabilities_of_a_rollout_add_up_to_its_density(recurrent):
     """Under other parameters than those that played: a normal, correlated within each episode, of all its actions."""
     config = PPOConfig(num_steps=12, num_minibatches=1, hidden=(8,), recurrent=recurrent, normalize_obs=False)
     ppo = PPO(Meeting(ending=0.2), replace(config, noise_correlation=RHO), 4, 1)
-    _, batch = jax.jit(lambda key: ppo.collect(ppo.init(key)))(jax.random.key(0))
+    _, batch = jax.jit(lambda key: ppo.collect(ppo.collect(ppo.init(key))[0]))(jax.random.key(0))
     other = init_network(jax.random.key(1), (2, 8, 2), 1.0, recurrent) | {"log_std": jnp.array([-0.5, 0.3])}
     reset, start, log_std = batch["reset"], batch["memory"]["robot"], np.asarray(other["log_std"])
     part = {name: batch[name] for name in ("obs", "reset", "kept")} | {"robot": {"action": batch["actions"]["robot"]}}
@@ -80,7 +80,7 @@ def test_log_probabilities_of_a_rollout_add_up_to_its_density(recurrent):
         part["before"] = shifted
     found = jax.jit(lambda: ppo._log_prob(config, "robot", other, part, start)[0])()
     mean = jax.jit(lambda: unroll(other, batch["obs"]["robot"], start, reset, "tanh")[0])()
-    assert reset[1:].any()
+    assert reset[1:].any() and not reset[0].all()
     for env in range(4):
         episode = np.cumsum(np.asarray(reset[:, env]))
         lag = np.abs(np.arange(12)[:, None] - np.arange(12))
