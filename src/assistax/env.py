@@ -19,7 +19,7 @@ import numpy as np
 from assistax import scenes
 from assistax.episode import Bookkeeping, Sums
 from assistax.errors import UsageError, choose
-from assistax.human import HumanConfig, HumanProfile, disability, preference
+from assistax.human import HumanConfig, HumanProfile, disability, harm, preference
 from assistax.physics import PhysicsState, make_engine
 from assistax.physics.batching import map_where, whole_batch
 from assistax.pytree import pytree
@@ -70,6 +70,7 @@ class EnvState:
     t: jax.Array  # int32, control steps since the reset
     seed: jax.Array  # uint32 [2], what the next automatic reset draws with, beside the step's key
     episode: Sums  # so far, see episode.py
+    harm: Any = ()  # a HarmState, where the scene has its sensors
 
 
 class _Start(NamedTuple):
@@ -125,6 +126,7 @@ class Env:
         self._ctrl_mid, self._ctrl_half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
         if config.control == "torque":
             self._ctrl_half *= config.torque_scale
+        self._harm = scene.harm
         self._books = Bookkeeping(self.dt, config.force_limit, config.human.preferring)
         self._draw_where = whole_batch(self._draw_batch)
         self._layouts = self._measure_layouts()
@@ -161,7 +163,8 @@ class Env:
           truncated: by agent and "__all__"; the time limit, bootstrap through it.
           info: "final_observation" by agent and "final_global_observation", true also where a reset
             followed; "reward_terms" by name; "metrics" of the episode up to and with this step;
-            "robot_force" on the person in N; "fault" of the engine.
+            "robot_force" on the person in N; "fault" of the engine; where the scene measures harm, "cost" of this
+            step, >= 0, see `human.harm.cost`.
         """
         obs, end, rewards, terminated, truncated, info = self.step_env(key, state, actions)
         done = terminated["__all__"] | truncated["__all__"]
@@ -191,6 +194,7 @@ class Env:
             task=task,
             tool_force=norm(s["tool_force"]),
             t=state.t + 1,
+            harm=harm.advance(state.harm, self._forces(s), self.dt) if self._harm else (),
             episode=self._books.add(state.episode, s, force, sum(terms.values()), sum(preferred.values())),
         )
         terms |= preferred
@@ -203,6 +207,8 @@ class Env:
             "robot_force": force,
             "fault": physics.fault,
         }
+        if self._harm:
+            info["cost"] = harm.cost(self._forces(s), self.dt)
         everyone = (*AGENTS, "__all__")
         return (
             self._observe(state),
@@ -239,18 +245,26 @@ class Env:
     def metrics(self, state: EnvState) -> dict[str, jax.Array]:
         """Outcome of the episode so far; after its last step, of the whole episode.
 
-        `success` (0 or 1), the task's own outcomes, `peak_force` (N) and `seconds_over_force_limit`
+        `success` (0 or 1), where the scene measures harm `safe_success` (0 or 1: a success without clamping or impact)
+        and what `human.harm.outcomes` has, the task's own outcomes, `peak_force` (N) and `seconds_over_force_limit`
         of the robot on the person, `work_robot` and `work_human` (J), `return` and `length` (steps);
         with preferences also `task_return` and `preference_return`, which add up to it.
         """
         success = self.task.success(state.task).astype(jnp.float32)
-        return {"success": success, **self.task.outcomes(state.task), **state.episode, "length": state.t}
+        hurt = {}
+        if self._harm:
+            hurt = {"safe_success": success * harm.harmless(state.harm), **harm.outcomes(state.harm)}
+        return {"success": success, **hurt, **self.task.outcomes(state.task), **state.episode, "length": state.t}
 
     def markers(self, state: EnvState) -> jax.Array:
         """World position [3] of the task's target."""
         return self.task.markers(self.sensors(state.physics), state.task)
 
     # -- parts ---------------------------------------------------------------------------------
+
+    def _forces(self, s: Sensors) -> jax.Array:
+        """Of the robot on every region of the body, [regions] in N."""
+        return jnp.stack([norm(s[f"force_on_{region}"]) for region in harm.LIMITS])
 
     def _columns(self, prefix: str, joints) -> np.ndarray:
         return np.array([self._slices[prefix + joint].start for joint in joints])
@@ -278,7 +292,8 @@ class Env:
 
     def _begin(self, physics: PhysicsState, start: _Start, t) -> EnvState:
         sums = self._books.start()
-        return EnvState(physics, start.task, start.person, start.phase, jnp.float32(0.0), t, start.seed, sums)
+        hurt = harm.begin() if self._harm else ()
+        return EnvState(physics, start.task, start.person, start.phase, jnp.float32(0.0), t, start.seed, sums, hurt)
 
     def _ctrl(self, actions: Obs) -> jax.Array:
         robot, human = (jnp.clip(actions[agent], -1.0, 1.0) for agent in AGENTS)

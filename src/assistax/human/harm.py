@@ -88,13 +88,10 @@ def harmless(state: HarmState) -> jax.Array:
     return ~(state.clamped | state.hit).any()
 
 
+OUTCOMES = ("clamping", "impact", "peak_filtered_force", "seconds_above_comfort", "impulse_above_comfort")
+
+
 def outcomes(state: HarmState) -> dict[str, jax.Array]:
-    """Of the episode so far: `clamping` and `impact` (0 or 1), `peak_filtered_force` (N), `seconds_above_comfort` and
-    `impulse_above_comfort` (N s)."""
-    return {
-        "clamping": state.clamped.any().astype(jnp.float32),
-        "impact": state.hit.any().astype(jnp.float32),
-        "peak_filtered_force": state.peak,
-        "seconds_above_comfort": state.uncomfortable,
-        "impulse_above_comfort": state.impulse,
-    }
+    """Of the episode so far, by name in OUTCOMES: whether anything was clamped or hit (0 or 1), N, s and N s."""
+    told = jnp.float32(state.clamped.any()), jnp.float32(state.hit.any())
+    return dict(zip(OUTCOMES, (*told, state.peak, state.uncomfortable, state.impulse), strict=True))

@@ -43,11 +43,21 @@ RIGHT_ARM = ("right_shoulder1", "right_shoulder2", "right_elbow")
 LEFT_ARM = ("left_shoulder1", "left_shoulder2", "left_elbow")
 NECK = ("neck_yaw", "neck_pitch")
 
+# Regions of the person's body, and what they are made of: a geom, a body without its children, or all below a body.
+REGIONS = {
+    "head": ("geom", "head"),
+    "torso": ("body", "torso"),
+    "upper_arm": ("geom", "right_upper_arm"),
+    "forearm": ("geom", "right_forearm"),
+    "hand": ("geom", "right_hand"),
+    "left_arm": ("xbody", "left_upper_arm"),
+}
 NET_FORCE = (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3, 1)  # data="force" reduce="netforce" num="1"
 # Where the robot touches, skin gives way: the less, the deeper (2 mm at 3 N). On a hard contact a sliding
 # tool chatters: it opens and closes every few steps, and a force cannot be held.
 SKIN = (0.01, 0.9, 0.01, 0.5, 2.0)  # solimp
 SKIN_FRICTION = 0.3
+WORKED_ON = {"upper_arm": "right_upper_arm", "forearm": "right_forearm", "head": "head"}  # body parts and their bodies
 HUMAN_TORQUE = 10.0  # N m at action 1
 
 
@@ -103,6 +113,9 @@ class SceneConfig:
     robot: str = "panda"  # of ROBOTS
     ready: tuple[float, ...] | None = None  # rad, where the arm starts; None: at the robot's own ready pose
     targets: tuple[str, ...] = ()  # target sites on the person that become visible and get sensors
+    # Body parts, of WORKED_ON, as seen from which the tool's speed is measured; then the targets' speeds are, too.
+    relative_to: tuple[str, ...] = ()
+    harm: bool = False  # whether there are sensors of the robot's force on every region of the body, see REGIONS
     control: str = "torque"  # or "position": the robot's ctrl is a joint target in rad
     camera: tuple[float, ...] = (1.75, 1.65, 1.45, 0.33, 0.06, 0.62)  # eye and point looked at
     close: tuple[float, ...] = (1.05, 0.75, 1.30, 0.25, 0.02, 0.80)
@@ -123,6 +136,8 @@ class SceneConfig:
             raise ValueError(f"posture must be one of {sorted(POSTURES)}, not {self.posture!r}")
         if unknown := set(self.human_driven) - set(HUMAN_JOINTS):
             raise ValueError(f"human_driven holds {sorted(unknown)}; the joints are {HUMAN_JOINTS}")
+        if unknown := set(self.relative_to) - set(WORKED_ON):
+            raise ValueError(f"relative_to holds {sorted(unknown)}; the body parts are {sorted(WORKED_ON)}")
 
 
 MEAL_VIEW: dict[str, Any] = {
@@ -257,10 +272,10 @@ def _add_actuators(spec, config):
 
 
 def _add_sensors(spec, config):
-    """Motors, tool, arm, mouth, targets; the two contact forces last. Joints are read from the state.
+    """Motors, tool, arm, mouth, targets, relative velocities; the contact forces last. Joints are read from the state.
 
     ``tool_force``: net force of the tool's working surface on the person; ``robot_force``: of the whole
-    robot on the person (N, world frame).
+    robot on the person; ``force_on_REGION``: the same on one region of REGIONS (N, world frame).
     """
     kind, obj = mujoco.mjtSensor, mujoco.mjtObj
 
@@ -282,12 +297,21 @@ def _add_sensors(spec, config):
     for target in config.targets:
         sense(f"{target}_pos", pos, obj.mjOBJ_SITE, target)
         sense(f"{target}_quat", quat, obj.mjOBJ_SITE, target)
+        if config.relative_to:
+            sense(f"{target}_vel", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, target)
+    for part in config.relative_to:
+        # In the part's axes, its own motion and turning taken out: the tool's velocity as the part sees it.
+        sense(f"tool_vel_{part}", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, "tool_tip",
+              reftype=obj.mjOBJ_XBODY, refname=WORKED_ON[part])  # fmt: skip
     for name, objtype, objname in (
         ("tool_force", obj.mjOBJ_BODY, "tool"),
         ("robot_force", obj.mjOBJ_XBODY, "robot"),  # in contact sensors, xbody means the whole subtree
     ):
         sense(name, kind.mjSENS_CONTACT, objtype, objname, reftype=obj.mjOBJ_XBODY, refname="human",
               intprm=NET_FORCE)  # fmt: skip
+    for region, (what, thing) in REGIONS.items() if config.harm else ():
+        sense(f"force_on_{region}", kind.mjSENS_CONTACT, obj.mjOBJ_XBODY, "robot",
+              reftype=getattr(obj, f"mjOBJ_{what.upper()}"), refname=thing, intprm=NET_FORCE)  # fmt: skip
 
 
 def _turn(axis, angle):
