@@ -12,7 +12,7 @@ from assistax import scenes
 from assistax.physics import make_engine
 from assistax.tasks import task_spec
 
-ARM = dataclasses.replace(task_spec("arm_assist-v0").scene, relative_to=("upper_arm", "forearm", "head"))
+ARM = dataclasses.replace(task_spec("arm_assist-v0").scene, worked_on=("upper_arm", "forearm", "head"))
 
 
 def velocity(model, data, kind, thing):
@@ -42,7 +42,7 @@ def test_relative_velocities_are_those_of_the_formula(name):
     for q, v, row in zip(qpos, qvel, np.asarray(sensed), strict=True):
         data.qpos, data.qvel = q, v
         mujoco.mj_forward(model, data)
-        for part in ARM.relative_to:
+        for part in ARM.worked_on:
             np.testing.assert_allclose(row[places[f"tool_vel_{part}"]], seen_from(model, data, part), atol=2e-4)
         wrist, _ = velocity(model, data, mujoco.mjtObj.mjOBJ_SITE, data.site("wrist_target"))
         np.testing.assert_allclose(row[places["wrist_target_vel"]], wrist, atol=2e-4)

@@ -186,7 +186,11 @@ class Env:
         s = self.sensors(physics)
         task = self.task.advance(s, state.task)
         terms = self.task.reward_terms(s, task)
-        preferred = self._preference_terms(s, state, actions)
+        terminated = self.task.terminated(task)
+        if self.spec.rest_pays:
+            left = jnp.maximum(self.config.episode_length - state.t - 1, 0)
+            terms[self.spec.rest_pays] *= 1.0 + left * terminated
+        preferred = self._preference_terms(s, state, task, actions)
         force = norm(s["robot_force"])
         state = dataclasses.replace(
             state,
@@ -199,7 +203,6 @@ class Env:
         )
         terms |= preferred
         reward = sum(terms.values())
-        terminated = self.task.terminated(task)
         truncated = (state.t >= self.config.episode_length) & ~terminated
         info = {
             "reward_terms": terms,
@@ -305,13 +308,14 @@ class Env:
         trembling = disability.tremor(state.person.disability, state.phase, state.t * self.dt)
         return ctrl.at[: trembling.size].add(trembling)
 
-    def _preference_terms(self, s: Sensors, state: EnvState, actions: Obs) -> dict[str, jax.Array]:
+    def _preference_terms(self, s: Sensors, state: EnvState, task: TaskState, actions: Obs) -> dict[str, jax.Array]:
         if not self.config.human.preferring:
             return {}
         action = jnp.clip(actions["robot"], -1.0, 1.0)
-        speed, force = norm(s["tool_vel"]), norm(s["tool_force"])
-        wanted, before = state.person.preference, state.tool_force
-        return preference.reward_terms(wanted, speed, force, before, action, self.spec.preference_budget)
+        speed, force = self.task.tool_speed(s, task), norm(s["tool_force"])
+        helping = self.task.helping(s, task) if self.spec.preferences_need_help else True
+        wanted, before, budget = state.person.preference, state.tool_force, self.spec.preference_budget
+        return preference.reward_terms(wanted, speed, force, before, action, budget, helping)
 
     def _blocks(self, state: EnvState) -> dict[str, jax.Array]:
         """All observation blocks by name, in the order of the paper's observation table."""

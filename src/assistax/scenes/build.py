@@ -113,8 +113,8 @@ class SceneConfig:
     robot: str = "panda"  # of ROBOTS
     ready: tuple[float, ...] | None = None  # rad, where the arm starts; None: at the robot's own ready pose
     targets: tuple[str, ...] = ()  # target sites on the person that become visible and get sensors
-    # Body parts, of WORKED_ON, as seen from which the tool's speed is measured; then the targets' speeds are, too.
-    relative_to: tuple[str, ...] = ()
+    # Body parts, of WORKED_ON, that the tool works on: as seen from them its speed is measured, and on them its force.
+    worked_on: tuple[str, ...] = ()
     harm: bool = False  # whether there are sensors of the robot's force on every region of the body, see REGIONS
     control: str = "torque"  # or "position": the robot's ctrl is a joint target in rad
     camera: tuple[float, ...] = (1.75, 1.65, 1.45, 0.33, 0.06, 0.62)  # eye and point looked at
@@ -136,8 +136,8 @@ class SceneConfig:
             raise ValueError(f"posture must be one of {sorted(POSTURES)}, not {self.posture!r}")
         if unknown := set(self.human_driven) - set(HUMAN_JOINTS):
             raise ValueError(f"human_driven holds {sorted(unknown)}; the joints are {HUMAN_JOINTS}")
-        if unknown := set(self.relative_to) - set(WORKED_ON):
-            raise ValueError(f"relative_to holds {sorted(unknown)}; the body parts are {sorted(WORKED_ON)}")
+        if unknown := set(self.worked_on) - set(WORKED_ON):
+            raise ValueError(f"worked_on holds {sorted(unknown)}; the body parts are {sorted(WORKED_ON)}")
 
 
 MEAL_VIEW: dict[str, Any] = {
@@ -275,7 +275,8 @@ def _add_sensors(spec, config):
     """Motors, tool, arm, mouth, targets, relative velocities; the contact forces last. Joints are read from the state.
 
     ``tool_force``: net force of the tool's working surface on the person; ``robot_force``: of the whole
-    robot on the person; ``force_on_REGION``: the same on one region of REGIONS (N, world frame).
+    robot on the person; ``tool_force_forearm``: of the working surface on that body alone; ``force_on_REGION``: of the
+    whole robot on one region of REGIONS (N, world frame).
     """
     kind, obj = mujoco.mjtSensor, mujoco.mjtObj
 
@@ -297,9 +298,9 @@ def _add_sensors(spec, config):
     for target in config.targets:
         sense(f"{target}_pos", pos, obj.mjOBJ_SITE, target)
         sense(f"{target}_quat", quat, obj.mjOBJ_SITE, target)
-        if config.relative_to:
+        if config.worked_on:
             sense(f"{target}_vel", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, target)
-    for part in config.relative_to:
+    for part in config.worked_on:
         # In the part's axes, its own motion and turning taken out: the tool's velocity as the part sees it.
         sense(f"tool_vel_{part}", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, "tool_tip",
               reftype=obj.mjOBJ_XBODY, refname=WORKED_ON[part])  # fmt: skip
@@ -309,6 +310,9 @@ def _add_sensors(spec, config):
     ):
         sense(name, kind.mjSENS_CONTACT, objtype, objname, reftype=obj.mjOBJ_XBODY, refname="human",
               intprm=NET_FORCE)  # fmt: skip
+    for part in config.worked_on:
+        sense(f"tool_force_{part}", kind.mjSENS_CONTACT, obj.mjOBJ_BODY, "tool", reftype=obj.mjOBJ_BODY,
+              refname=WORKED_ON[part], intprm=NET_FORCE)  # fmt: skip
     for region, (what, thing) in REGIONS.items() if config.harm else ():
         sense(f"force_on_{region}", kind.mjSENS_CONTACT, obj.mjOBJ_XBODY, "robot",
               reftype=getattr(obj, f"mjOBJ_{what.upper()}"), refname=thing, intprm=NET_FORCE)  # fmt: skip
