@@ -127,7 +127,7 @@ SPECS = (
         "arm_assist",
         1,
         ArmAssist,
-        replace(_SCENE, worked_on=("forearm",)),
+        replace(_SCENE, worked_on=("forearm",), harm=True),
         ArmAssistConfig(settled_speed=0.1, carrying_speed=0.5),
         expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
         bound=11280,

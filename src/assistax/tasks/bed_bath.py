@@ -154,7 +154,7 @@ SPECS = (
         "bed_bath",
         1,
         BedBath,
-        replace(_SCENE, worked_on=SEGMENTS),
+        replace(_SCENE, worked_on=SEGMENTS, harm=True),
         BedBathConfig(touch_force=0.5, most_force=15.0, speed=(0.02, 0.4), wash_seconds=0.08),
         expert="assistax.policies.experts.bed_bath:BedBathExpert",
         bound=1156,

@@ -157,7 +157,7 @@ SPECS = (
         "feeding",
         1,
         Feeding,
-        replace(_SCENE, worked_on=("head",)),
+        replace(_SCENE, worked_on=("head",), harm=True),
         FeedingConfig(
             mouth_angle=pi / 3,
             mouth_speed=0.1,

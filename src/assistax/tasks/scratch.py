@@ -152,7 +152,7 @@ SPECS = (
         "scratch",
         1,
         Scratch,
-        replace(_SCENE, worked_on=SEGMENTS),
+        replace(_SCENE, worked_on=SEGMENTS, harm=True),
         ScratchConfig(angle=pi, scratch_distance=0.04),
         expert="assistax.policies.experts.scratch:ScratchExpert",
         bound=1000,

@@ -122,7 +122,7 @@ SPECS = (
         "tooth_brushing",
         1,
         ToothBrushing,
-        replace(_SCENE, worked_on=("head",)),
+        replace(_SCENE, worked_on=("head",), harm=True),
         ToothBrushingConfig(brush_angle=pi / 3),
         expert="assistax.policies.experts.tooth_brushing:ToothBrushingExpert",
         bound=3140,
