@@ -352,9 +352,9 @@ def test_impossible_people_are_refused_in_one_line(call, words):
     ("preference=force=1", "force must be a range LEAST:MOST, not '1'"),
     ("preference=weights=0,0,-0.1", "must not all be zero"),
     ("preference=speeed=1:2", "Did you mean 'speed'"),
-    ("people=nobody.json", "Cannot read people from nobody.json"),
+    ("people=nobody.json", "Cannot read nobody.json: No such file"),
     ("people=folk.json", "folk.json, person 1: A disability's strength must be in [0.01, 1], not 7"),
-    ("people=torn.json", "torn.json is not a JSON file"),
+    ("people=torn.json", "Cannot read torn.json: it is not JSON"),
     ("people=one.json", "one.json must hold a list"),
 ])  # fmt: skip
 def test_the_command_line_refuses_impossible_people_before_it_compiles(setting, words, tmp_path, monkeypatch, capsys):
