@@ -41,5 +41,17 @@ def scratch():
     return assistax.make("scratch", engine="mujoco", episode_length=20)
 
 
+@pytest.fixture(scope="module")
+def registries():
+    """What is registered here is gone afterwards."""
+    from assistax.learning.algorithms import ALGORITHMS
+    from assistax.tasks import TASKS
+
+    with pytest.MonkeyPatch.context() as patch:
+        for registry in (TASKS, ALGORITHMS):
+            patch.setattr(registry, "_things", dict(registry._things))
+        yield
+
+
 def random_actions(env, key, batch=()):
     return {a: jax.random.uniform(key, (*batch, n), minval=-1, maxval=1) for a, n in env.action_sizes.items()}

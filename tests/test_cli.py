@@ -1,7 +1,5 @@
 """The command line as a user meets it: good runs, bad input, interruptions."""
 
-import contextlib
-import io
 import json
 import os
 import shutil
@@ -9,25 +7,16 @@ import signal
 import subprocess
 import sys
 import time
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from commands import assistax
 from safetensors.numpy import save_file
 
 from assistax import cli
 
 SMALL = ["--num-envs", "8", "--set", "ppo.num_steps=8", "ppo.num_minibatches=2", "ppo.update_epochs=1"]
 SMALL += ["env.episode_length=16", "ppo.hidden=(8,8)", "evaluations=2", "evaluation_episodes=4"]
-
-
-def assistax(*args):
-    """What a command prints, without a process of its own, whose imports take longer than most commands."""
-    printed = io.StringIO()
-    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(printed):
-        patch.setattr(sys, "argv", ["assistax", *map(str, args)])
-        cli.main()
-    return SimpleNamespace(stdout=printed.getvalue())
 
 
 def process(*args):

@@ -33,7 +33,7 @@ class Registry(Mapping[str, T]):
         """Add a thing; raises UsageError if its name is another's."""
         name = self._name(thing)
         if self._things.setdefault(name, thing) is not thing:
-            raise UsageError(f"There is a {self._what} named {name!r} already; choose another name.")
+            raise UsageError(f"The {self._what} {name!r} is registered already; choose another name.")
         return thing
 
     def __getitem__(self, name: str) -> T:
@@ -56,14 +56,19 @@ class Registry(Mapping[str, T]):
     def _find(self) -> None:
         if self._found:
             return
-        self._found = True
-        for point in metadata.entry_points(group=self._group):
-            try:
-                self.register(point.load())
-            except UsageError:
-                raise
-            except Exception as error:  # another package's code can fail in any way; say whose
-                raise UsageError(
-                    f"The {self._what} {point.name!r} of an installed package cannot be loaded from {point.value}: "
-                    f"{type(error).__name__}: {error}"
-                ) from error
+        self._found = True  # what is loaded may itself look things up
+        try:
+            for point in metadata.entry_points(group=self._group):
+                self._load(point)
+        except BaseException:
+            self._found = False
+            raise
+
+    def _load(self, point: metadata.EntryPoint) -> None:
+        try:
+            self.register(point.load())
+        except Exception as error:  # another package's code can fail in any way; say whose
+            raise UsageError(
+                f"The {self._what} {point.name!r} of an installed package cannot be loaded from {point.value}: "
+                f"{type(error).__name__}: {error}"
+            ) from error

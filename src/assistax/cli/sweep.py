@@ -91,7 +91,7 @@ def sweep(
         asked = dict(text.partition("=")[::2] for text in search)
         if both := [name for name in asked if name in fixed]:
             raise UsageError(f"{both[0]} is both fixed by --set and searched; leave out one.")
-        wanted = {name: text for name, text in SEARCH[config.group].items() if name not in fixed} | asked
+        wanted = {name: text for name, text in SEARCH.get(config.group, {}).items() if name not in fixed} | asked
         name = f"sweep-{task}-{config.algorithm}{'-rnn' * recurrent}{'-shared' * share_parameters}-{config.seed}"
         found = Sweep.create(config, out or free_folder(name), 168 if configs is None else configs, wanted)
     print(f"{found.config.task}, {len(found.drawn)} configurations, into {found.folder}", file=sys.stderr)

@@ -176,8 +176,11 @@ def _remarks(said: dict[str, Any], referenced: bool) -> list[str]:
         )
     if not referenced:
         words.append(f"There is no {REFERENCES} here, so that no expert is compared with.")
-    elif any(row[name] is None for row in rows for name in ("of_bound", "of_expert")):
-        words.append("No fraction where reward, episode length or person are not those of the reference.")
+    if any(row[name] is None for row in rows for name in ("of_bound", "of_expert")):
+        words.append(
+            "–: the task has no bound or no record of an expert, or reward, episode length or person are not those of "
+            "the reference."
+        )
     return words
 
 
@@ -194,7 +197,7 @@ def tables(said: dict[str, Any]) -> list[Table]:
     cells = []
     for row in rows:
         n = len(row["seeds"])
-        fractions = [_percent(row[f"of_{kind}"]) for kind in ("bound", "expert")]
+        fractions = [_percent(row[f"of_{kind}"]) or "–" for kind in ("bound", "expert")]
         cell = [row["task"], *_method(row), str(n), _estimate(row["return"], n), *fractions]
         cell += [_estimate(row.get(name), n) for name in apart] + [_estimate(row["success"], n, _percent)]
         cells.append(
@@ -210,7 +213,7 @@ def tables(said: dict[str, Any]) -> list[Table]:
         ]
         cells = []
         for row in rows:
-            scores = [_estimate(row[kind], min(row["seeds"]), _percent, "iqm") for kind in SCALES]
+            scores = [_estimate(row[kind], min(row["seeds"]), _percent, "iqm") or "–" for kind in SCALES]
             cells.append([str(len(row["tasks"])), *_method(row), _seeds(row["seeds"]), *scores])
         found.append((head, cells))
     if rows := said.get("comparisons"):

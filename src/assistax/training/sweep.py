@@ -81,7 +81,8 @@ class Sweep:
             raise UsageError(f"configs must be 1 or more, not {count}.")
         if not search:
             raise UsageError(
-                "Nothing is left to search: every hyperparameter is fixed by --set. Name one with --search."
+                "Nothing is left to search: --set fixes all that are searched unless told otherwise, if any. "
+                "Name one with --search."
             )
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise UsageError(f"{folder} is already in use; name another --out, or continue it with --resume {folder}.")

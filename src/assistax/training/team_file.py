@@ -43,10 +43,15 @@ def save_team(path: Path, team: Team, config: TrainConfig) -> None:
         raise UsageError(f"A team file is called NAME.safetensors, not {path.name!r}.")
     if absent := ", ".join(text.partition("=")[0] for text in config.partners):
         raise UsageError(f"Only whole teams can be exported; in this run the {absent} did not learn.")
-    params = {agent: dict(player.member(0)) for agent, player in team.items()}
-    for parameters in params.values():  # the normaliser's numbers may be beyond half precision
-        parameters["actor"] = jax.tree.map(lambda x: x.astype(jnp.float16), parameters["actor"])
+    params = {agent: _smaller(player.member(0)) for agent, player in team.items()}
     save_checkpoint(path, params, {"team": to_json(dataclasses.replace(config, num_seeds=1))})
+
+
+def _smaller(params: Any) -> Any:
+    """What is called "actor" in half precision; other numbers, as a normaliser's, may be beyond that."""
+    if not isinstance(params, dict) or "actor" not in params:
+        return params
+    return params | {"actor": jax.tree.map(lambda x: x.astype(jnp.float16), params["actor"])}
 
 
 def read_team(path: Path) -> TrainConfig:
