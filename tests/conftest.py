@@ -45,10 +45,11 @@ def scratch():
 def registries():
     """What is registered here is gone afterwards."""
     from assistax.learning.algorithms import ALGORITHMS
+    from assistax.scenes import ROBOTS
     from assistax.tasks import TASKS
 
     with pytest.MonkeyPatch.context() as patch:
-        for registry in (TASKS, ALGORITHMS):
+        for registry in (TASKS, ALGORITHMS, ROBOTS):
             patch.setattr(registry, "_things", dict(registry._things))
         yield
 

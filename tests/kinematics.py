@@ -13,8 +13,8 @@ def solve(model, point, seed=0, restarts=12, tolerance=2e-3, accept=lambda data:
     With `facing` [3] the z axis of the hand, along which the tool points, is turned there too, to 0.1 rad.
     """
     data = mujoco.MjData(model)
-    ids = scenes.qpos_ids(model, scenes.ROBOT_JOINTS)
-    low, high = model.jnt_range[[model.joint(j).id for j in scenes.ROBOT_JOINTS]].T
+    ids = scenes.qpos_ids(model, scenes.PANDA.joints)
+    low, high = model.jnt_range[[model.joint(j).id for j in scenes.PANDA.joints]].T
     rng = np.random.default_rng(seed)
     site = model.site("tool_tip").id
     hand = model.site_bodyid[site]  # the last body with a joint: fixed ones may be fused into it

@@ -3,7 +3,7 @@
 import pytest
 from pages import DOCS, imported, python_blocks
 
-PAGES = ("your_task", "your_algorithm", "your_training_code", "your_method")
+PAGES = ("your_task", "your_algorithm", "your_arm", "your_training_code", "your_method")
 
 
 @pytest.mark.parametrize("page", PAGES)

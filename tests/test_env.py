@@ -23,7 +23,7 @@ def mujoco_says(env, physics, actions):
     data = mujoco.MjData(model)
     data.qpos, data.qvel = physics.qpos, physics.qvel
     data.qacc_warmstart = physics.qacc_warmstart
-    limits = np.array(scenes.ROBOT_TORQUE) * env.config.torque_scale
+    limits = np.array(scenes.PANDA.torque) * env.config.torque_scale
     data.ctrl = np.concatenate([actions["human"], limits * np.asarray(actions["robot"], float)])
     for _ in range(STEP):
         before = data.qpos.copy(), data.qvel.copy()
@@ -80,7 +80,7 @@ def rollout_states(env, steps, start_touching, seed=0):
 def test_every_observation_slice_equals_mujocos_own_quantity(scratch, start_touching):
     env, model = scratch, scratch.model
     felt = 0.0
-    human, robot = (scenes.qpos_ids(model, joints) for joints in (scenes.HUMAN_JOINTS, scenes.ROBOT_JOINTS))
+    human, robot = (scenes.qpos_ids(model, joints) for joints in (scenes.HUMAN_JOINTS, scenes.PANDA.joints))
     for before, actions, state, obs, _, _ in rollout_states(env, 15, start_touching):
         data = mujoco_says(env, before, actions)
         segment = data.body(["right_upper_arm", "right_forearm"][int(state.task.segment)])
@@ -137,7 +137,7 @@ def test_reward_terms_equal_the_papers_formulas_in_float64(scratch):
         np.testing.assert_allclose(rewards["robot"], sum(info["reward_terms"].values()), rtol=1e-6)
         np.testing.assert_array_equal(rewards["robot"], rewards["human"])
         np.testing.assert_allclose(
-            info["force"],
+            info["robot_force"],
             np.linalg.norm(contact_force(env.model, data, tool_only=False)),
             rtol=2e-3,
             atol=1e-3,
@@ -155,7 +155,7 @@ def test_work_and_force_over_the_limit_are_sums_over_mujocos_own_numbers(scratch
         joints = model.actuator_trnid[:, 0]
         dofs = model.jnt_dofadr[joints]
         power = np.abs(data.qfrc_actuator[dofs] * joints_after(model, data)[1][dofs])
-        is_robot = np.array([model.joint(j).name in scenes.ROBOT_JOINTS for j in joints])
+        is_robot = np.array([model.joint(j).name in scenes.PANDA.joints for j in joints])
         work["robot"] += power[is_robot].sum() * env.dt
         work["human"] += power[~is_robot].sum() * env.dt
         force = np.linalg.norm(contact_force(model, data, tool_only=False))
@@ -252,7 +252,7 @@ def test_actions_are_torques_as_documented():
 def test_position_control_holds_the_middle_of_the_range():
     env = assistax.make("scratch", engine="mujoco", control="position")
     ctrl = env._ctrl({"robot": jnp.zeros(7), "human": jnp.zeros(3)})
-    low, high = env.model.jnt_range[[env.model.joint(j).id for j in scenes.ROBOT_JOINTS]].T
+    low, high = env.model.jnt_range[[env.model.joint(j).id for j in scenes.PANDA.joints]].T
     np.testing.assert_allclose(ctrl[3:], (low + high) / 2, atol=1e-5)
 
 

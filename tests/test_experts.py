@@ -30,7 +30,7 @@ def envs():
 @pytest.mark.parametrize("name", NAMES)
 def test_chain_equals_mujocos_site_and_jacobian(envs, name, site):
     model = envs[name].model
-    joints = scenes.ROBOT_JOINTS if site == "tool_tip" else scenes.HUMAN_JOINTS
+    joints = scenes.PANDA.joints if site == "tool_tip" else scenes.HUMAN_JOINTS
     on_path = {"mouth": joints[:3], "wrist_target": joints[2:6]}.get(site, joints)
     chain = geometry.Chain(model, site, on_path)
     data, ids, jac = mujoco.MjData(model), scenes.qpos_ids(model, on_path), np.zeros((6, model.nv))

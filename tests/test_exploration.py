@@ -71,16 +71,16 @@ def test_log_probabilities_of_a_rollout_add_up_to_its_density(recurrent):
     """Under other parameters than those that played: a normal, correlated within each episode, of all its actions."""
     config = PPOConfig(num_steps=12, num_minibatches=1, hidden=(8,), recurrent=recurrent, normalize_obs=False)
     ppo = PPO(Meeting(ending=0.2), replace(config, noise_correlation=RHO), 4, 1)
-    _, batch = jax.jit(lambda key: ppo.collect(ppo.init(key)))(jax.random.key(0))
+    _, batch = jax.jit(lambda key: ppo.collect(ppo.collect(ppo.init(key))[0]))(jax.random.key(0))
     other = init_network(jax.random.key(1), (2, 8, 2), 1.0, recurrent) | {"log_std": jnp.array([-0.5, 0.3])}
     reset, start, log_std = batch["reset"], batch["memory"]["robot"], np.asarray(other["log_std"])
     part = {name: batch[name] for name in ("obs", "reset", "kept")} | {"robot": {"action": batch["actions"]["robot"]}}
     if not recurrent:
         shifted = jax.tree.map(lambda x: jnp.concatenate([x[:1], x[:-1]]), part)
         part["before"] = shifted
-    found, _ = ppo._log_prob(config, "robot", other, part, start)
-    mean, _ = unroll(other, batch["obs"]["robot"], start, reset, "tanh")
-    assert reset[1:].any()
+    found = jax.jit(lambda: ppo._log_prob(config, "robot", other, part, start)[0])()
+    mean = jax.jit(lambda: unroll(other, batch["obs"]["robot"], start, reset, "tanh")[0])()
+    assert reset[1:].any() and not reset[0].all()
     for env in range(4):
         episode = np.cumsum(np.asarray(reset[:, env]))
         lag = np.abs(np.arange(12)[:, None] - np.arange(12))
@@ -95,9 +95,9 @@ def test_log_probabilities_of_a_rollout_add_up_to_its_density(recurrent):
 
 
 def test_the_integrator_is_learned_with_correlated_noise():
-    """A seed that fell to -10 by now, and on to -59, with each density by itself."""
+    """A seed that fell to -5.2 by now, and on to -59, with each density by itself; the optimum is -2.29."""
     config = PPOConfig(learning_rate=1e-3, entropy_coef=0.0, hidden=(32, 32), update_epochs=4, num_minibatches=8)
-    ppo = PPO(Integrator(), replace(config, initial_log_std=-1.0, noise_correlation=RHO), 64, 50)
+    ppo = PPO(Integrator(), replace(config, initial_log_std=-1.0, noise_correlation=RHO), 64, 30)
 
     def iteration(state, _):
         state, _ = ppo.improve(*ppo.collect(state))
@@ -106,7 +106,7 @@ def test_the_integrator_is_learned_with_correlated_noise():
 
     @jax.jit
     def trained_return(key):
-        state, _ = jax.lax.scan(iteration, ppo.init(key), length=50)
+        state, _ = jax.lax.scan(iteration, ppo.init(key), length=30)
         policy, params = ppo.policy(), ppo.policy_params(state)["robot"]
         act = lambda o: policy.act(params, policy.initial_carry(), o, jnp.bool_(False), jax.random.key(0))[0]  # noqa: E731
 
@@ -116,4 +116,4 @@ def test_the_integrator_is_learned_with_correlated_noise():
 
         return jax.lax.scan(step, jnp.linspace(-2.0, 2.0, 65), length=50)[1].sum(0).mean()
 
-    assert float(trained_return(jax.random.key(2))) > -2.6
+    assert float(trained_return(jax.random.key(2))) > -3.0

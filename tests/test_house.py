@@ -18,6 +18,7 @@ FLOORS = (
     ("physics",),
     ("human",),
     ("tasks",),
+    ("episode",),
     ("env",),
     ("policies",),
     ("learning",),

@@ -9,6 +9,7 @@ import pytest
 from stored import small, store_checkpoint, stored_run, stored_team
 
 from assistax.errors import UsageError
+from assistax.policies import Player, Still
 from assistax.training.checkpoint import load_checkpoint, save_checkpoint
 from assistax.training.configuration import to_json, trained_env
 from assistax.training.partners import find_partner
@@ -106,7 +107,7 @@ def test_a_partner_of_another_task_is_refused(tmp_path, make):
     """The person of scratch observes and does as much as that of bed bath."""
     there = make(tmp_path / "there")
     for task in ("bed_bath", "feeding"):
-        with pytest.raises(UsageError, match=f"trained for scratch and cannot play the human in {task}") as error:
+        with pytest.raises(UsageError, match=f"trained for scratch-v0 and cannot play the human in {task}-v0") as error:
             Run.create(small(task, partners=(f"human={there}",)), tmp_path / "run")
         assert "\n" not in str(error.value) and not (tmp_path / "run").exists()
 
@@ -129,3 +130,15 @@ def test_weights_that_are_not_numbers_are_named(tmp_path):
     for use in (lambda: load_team(path), lambda: Run.create(small(partners=(f"robot={path}",)), tmp_path / "run")):
         with pytest.raises(UsageError, match=r"team\.safetensors is damaged: \['robot'\].* not finite"):
             use()
+
+
+def test_ones_own_player_trains_and_resumes_where_it_is_given(tmp_path):
+    env_size = 3
+    mine = {"human": Player(Still(env_size))}
+    run = Run.create(small(), tmp_path / "run", mine)
+    assert run.trainer.learners == ("robot",) and run.config.partners == ("human=given",)
+    store_checkpoint(run, 64)
+    with pytest.raises(UsageError, match="a player that Python code has made"):
+        Run.open(run.folder)
+    again = Run.open(run.folder, players=mine)
+    assert again.teams()[0]["human"] is mine["human"] and again.teams()[0]["robot"].members == 1

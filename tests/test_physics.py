@@ -37,7 +37,7 @@ def pressing(model):
     robot = model.nu - 7
     ctrl = rng.uniform(-0.2, 0.2, (50, 2, model.nu))
     data, jac = mujoco.MjData(model), np.zeros((3, model.nv))
-    ids = scenes.qpos_ids(model, scenes.ROBOT_JOINTS)
+    ids = scenes.qpos_ids(model, scenes.PANDA.joints)
     for i, pose in enumerate(poses):
         data.qpos = pose
         mujoco.mj_forward(model, data)

@@ -5,8 +5,6 @@ import numpy as np
 import pytest
 
 from assistax import scenes
-from assistax.scenes import ROBOT_JOINTS
-from assistax.scenes.build import READY_POSE
 from assistax.tasks import TASKS
 
 HUMAN_MASSES = {
@@ -65,7 +63,7 @@ def rot(axis, angle):
 
 def reach(model, data, point, steps=300):
     """Bring the tool point to a place by damped least squares, from the ready pose; returns the distance."""
-    ids, limits = scenes.qpos_ids(model, ROBOT_JOINTS), np.array(PANDA_LIMITS)
+    ids, limits = scenes.qpos_ids(model, scenes.PANDA.joints), np.array(PANDA_LIMITS)
     site, jac = model.site("tool_tip").id, np.zeros((3, model.nv))
     for _ in range(steps):
         mujoco.mj_kinematics(model, data)
@@ -90,9 +88,9 @@ def touch(model):
 def test_layout(scene):
     config, model = scene
     assert model.nq == model.nv == 16
-    assert [model.actuator(i).name for i in range(model.nu)] == [*config.human_driven, *ROBOT_JOINTS]
+    assert [model.actuator(i).name for i in range(model.nu)] == [*config.human_driven, *scenes.PANDA.joints]
     names = [model.sensor(i).name for i in range(model.nsensor)]
-    driven = [*config.human_driven, *ROBOT_JOINTS]
+    driven = [*config.human_driven, *scenes.PANDA.joints]
     assert names[: len(driven)] == [f"torque_{j}" for j in driven]
     assert names[len(driven) :][:4] == ["tool_pos", "tool_quat", "tool_vel", "tool_angvel"]
     assert names[-2:] == ["tool_force", "robot_force"]
@@ -149,8 +147,8 @@ def test_panda_inertials_and_limits(scene):
 def test_panda_kinematics(scene):
     config, model = scene
     data, rng = start(model), np.random.default_rng(1)
-    for q in [np.array(READY_POSE), *rng.uniform(*np.array(PANDA_LIMITS).T, size=(5, 7))]:
-        data.qpos[scenes.qpos_ids(model, ROBOT_JOINTS)] = q
+    for q in [np.array(scenes.PANDA.ready), *rng.uniform(*np.array(PANDA_LIMITS).T, size=(5, 7))]:
+        data.qpos[scenes.qpos_ids(model, scenes.PANDA.joints)] = q
         mujoco.mj_forward(model, data)
         pos, frame = np.array(config.robot_pos), rot("z", config.robot_yaw)
         for (offset, turn, *_), angle in zip(PANDA, q, strict=True):
@@ -166,14 +164,14 @@ def test_panda_kinematics(scene):
 def test_start_pose(scene):
     config, model = scene
     data = start(model)
-    ids = scenes.qpos_ids(model, ROBOT_JOINTS)
+    ids = scenes.qpos_ids(model, scenes.PANDA.joints)
     if config.tool == "spoon":  # level, its tip toward the mouth: a spoon has up = -x, tip = +z
         way = data.site("mouth").xpos - data.site("tool_tip").xpos
         frame = data.site("tool_tip").xmat.reshape(3, 3)
         assert -frame[2, 0] > 0.999 and frame[:, 2] @ way > 0.95 * np.linalg.norm(way)
         assert 0.3 < np.linalg.norm(way) < 0.6
     else:
-        assert data.qpos[ids] == pytest.approx(READY_POSE)
+        assert data.qpos[ids] == pytest.approx(scenes.PANDA.ready)
     margin = np.minimum(data.qpos - model.jnt_range[:, 0], model.jnt_range[:, 1] - data.qpos)
     at_limit = scenes.qpos_ids(model, resting(config))
     assert np.delete(margin, at_limit).min() > 0.01  # the reset noise of 0.005 stays inside

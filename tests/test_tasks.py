@@ -102,7 +102,7 @@ class Truth:
         return site.xpos, site.xmat.reshape(3, 3)
 
     def body_blocks(self):
-        human, robot = (scenes.qpos_ids(self.model, j) for j in (scenes.HUMAN_JOINTS, scenes.ROBOT_JOINTS))
+        human, robot = (scenes.qpos_ids(self.model, j) for j in (scenes.HUMAN_JOINTS, scenes.PANDA.joints))
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, self.frame.ravel())
         qpos, qvel = joints_after(self.model, self.data)

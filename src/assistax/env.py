@@ -17,8 +17,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax import scenes
+from assistax.episode import Bookkeeping, Sums
 from assistax.errors import UsageError, choose
-from assistax.human import HumanConfig, HumanProfile, disability, preference
+from assistax.human import HumanConfig, HumanProfile, disability, harm, preference
 from assistax.physics import PhysicsState, make_engine
 from assistax.physics.batching import map_where, whole_batch
 from assistax.pytree import pytree
@@ -65,10 +66,11 @@ class EnvState:
     task: TaskState
     person: HumanProfile
     phase: jax.Array  # [human's actions] rad, of the tremor
-    force: jax.Array  # N, of the tool on the person in the step before
+    tool_force: jax.Array  # N, of the tool on the person in the step before
     t: jax.Array  # int32, control steps since the reset
     seed: jax.Array  # uint32 [2], what the next automatic reset draws with, beside the step's key
-    episode: dict[str, jax.Array]  # sums and peaks over the episode so far, see Env.metrics
+    episode: Sums  # so far, see episode.py
+    harm: Any = ()  # a HarmState, where the scene has its sensors
 
 
 class _Start(NamedTuple):
@@ -93,6 +95,7 @@ class Env:
         self.spec, self.config = task_spec(task), config
         self.name = self.spec.id
         scene = dataclasses.replace(self.spec.scene, control=config.control)
+        self.robot = scene.arm
         self.model = model = scenes.build(scene, visuals=False).compile()
         self.engine = make_engine(
             engine,
@@ -108,21 +111,23 @@ class Env:
         self._slices = scenes.sensor_slices(model)
         driven = scene.human_driven
         self._body = disability.Body(model, driven)
-        self.action_sizes = {"robot": len(scenes.ROBOT_JOINTS), "human": len(driven)}
+        self.action_sizes = {"robot": len(self.robot.joints), "human": len(driven)}
         self._gathers = {
-            "torque_robot": self._columns("torque_", scenes.ROBOT_JOINTS),
+            "torque_robot": self._columns("torque_", self.robot.joints),
             "torque_human": self._columns("torque_", driven),
         }
-        joints = {"robot": scenes.ROBOT_JOINTS, "human": scenes.HUMAN_JOINTS, "driven": driven}
+        joints = {"robot": self.robot.joints, "human": scenes.HUMAN_JOINTS, "driven": driven}
         self._joints = {name: scenes.qpos_ids(model, which) for name, which in joints.items()}
         key = model.key("start")
         movable = np.zeros(model.nq)
-        movable[scenes.qpos_ids(model, (*scenes.HUMAN_JOINTS, *scenes.ROBOT_JOINTS))] = 1.0
+        movable[scenes.qpos_ids(model, (*scenes.HUMAN_JOINTS, *self.robot.joints))] = 1.0
         self._start, self._noise = jnp.asarray(key.qpos), jnp.asarray(config.reset_noise * movable)
         limits = jnp.asarray(model.actuator_ctrlrange[len(driven) :])
         self._ctrl_mid, self._ctrl_half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
         if config.control == "torque":
             self._ctrl_half *= config.torque_scale
+        self._harm = scene.harm
+        self._books = Bookkeeping(self.dt, config.force_limit, config.human.preferring)
         self._draw_where = whole_batch(self._draw_batch)
         self._layouts = self._measure_layouts()
         sizes = {who: max(place.stop for place in layout.values()) for who, layout in self._layouts.items()}
@@ -158,7 +163,8 @@ class Env:
           truncated: by agent and "__all__"; the time limit, bootstrap through it.
           info: "final_observation" by agent and "final_global_observation", true also where a reset
             followed; "reward_terms" by name; "metrics" of the episode up to and with this step;
-            "force" on the person in N; "fault" of the engine.
+            "robot_force" on the person in N; "fault" of the engine; where the scene measures harm, "cost" of this
+            step, >= 0, see `human.harm.cost`.
         """
         obs, end, rewards, terminated, truncated, info = self.step_env(key, state, actions)
         done = terminated["__all__"] | truncated["__all__"]
@@ -180,26 +186,29 @@ class Env:
         s = self.sensors(physics)
         task = self.task.advance(s, state.task)
         terms = self.task.reward_terms(s, task)
-        liked = self._preference_terms(s, state, actions)
+        preferred = self._preference_terms(s, state, actions)
         force = norm(s["robot_force"])
         state = dataclasses.replace(
             state,
             physics=physics,
             task=task,
-            force=norm(s["tool_force"]),
+            tool_force=norm(s["tool_force"]),
             t=state.t + 1,
-            episode=self._book(state.episode, s, force, sum(terms.values()), sum(liked.values())),
+            harm=harm.advance(state.harm, self._forces(s), self.dt) if self._harm else (),
+            episode=self._books.add(state.episode, s, force, sum(terms.values()), sum(preferred.values())),
         )
-        terms |= liked
+        terms |= preferred
         reward = sum(terms.values())
         terminated = self.task.terminated(task)
         truncated = (state.t >= self.config.episode_length) & ~terminated
         info = {
             "reward_terms": terms,
             "metrics": self.metrics(state),
-            "force": force,
+            "robot_force": force,
             "fault": physics.fault,
         }
+        if self._harm:
+            info["cost"] = harm.cost(self._forces(s), self.dt)
         everyone = (*AGENTS, "__all__")
         return (
             self._observe(state),
@@ -236,18 +245,26 @@ class Env:
     def metrics(self, state: EnvState) -> dict[str, jax.Array]:
         """Outcome of the episode so far; after its last step, of the whole episode.
 
-        `success` (0 or 1), the task's own outcomes, `peak_force` (N) and `seconds_over_force_limit`
+        `success` (0 or 1), where the scene measures harm `safe_success` (0 or 1: a success without clamping or impact)
+        and what `human.harm.outcomes` has, the task's own outcomes, `peak_force` (N) and `seconds_over_force_limit`
         of the robot on the person, `work_robot` and `work_human` (J), `return` and `length` (steps);
         with preferences also `task_return` and `preference_return`, which add up to it.
         """
         success = self.task.success(state.task).astype(jnp.float32)
-        return {"success": success, **self.task.outcomes(state.task), **state.episode, "length": state.t}
+        hurt = {}
+        if self._harm:
+            hurt = {"safe_success": success * harm.harmless(state.harm), **harm.outcomes(state.harm)}
+        return {"success": success, **hurt, **self.task.outcomes(state.task), **state.episode, "length": state.t}
 
     def markers(self, state: EnvState) -> jax.Array:
         """World position [3] of the task's target."""
         return self.task.markers(self.sensors(state.physics), state.task)
 
     # -- parts ---------------------------------------------------------------------------------
+
+    def _forces(self, s: Sensors) -> jax.Array:
+        """Of the robot on every region of the body, [regions] in N."""
+        return jnp.stack([norm(s[f"force_on_{region}"]) for region in harm.LIMITS])
 
     def _columns(self, prefix: str, joints) -> np.ndarray:
         return np.array([self._slices[prefix + joint].start for joint in joints])
@@ -274,11 +291,9 @@ class Env:
         return map_where(draw, done, blank, keys, seeds)
 
     def _begin(self, physics: PhysicsState, start: _Start, t) -> EnvState:
-        names = ["return", "peak_force", "seconds_over_force_limit", "work_robot", "work_human"]
-        if self.config.human.preferring:
-            names += ["task_return", "preference_return"]
-        episode = {name: jnp.float32(0.0) for name in names}
-        return EnvState(physics, start.task, start.person, start.phase, jnp.float32(0.0), t, start.seed, episode)
+        sums = self._books.start()
+        hurt = harm.begin() if self._harm else ()
+        return EnvState(physics, start.task, start.person, start.phase, jnp.float32(0.0), t, start.seed, sums, hurt)
 
     def _ctrl(self, actions: Obs) -> jax.Array:
         robot, human = (jnp.clip(actions[agent], -1.0, 1.0) for agent in AGENTS)
@@ -295,8 +310,8 @@ class Env:
             return {}
         action = jnp.clip(actions["robot"], -1.0, 1.0)
         speed, force = norm(s["tool_vel"]), norm(s["tool_force"])
-        liked = state.person.preference
-        return preference.reward_terms(liked, speed, force, state.force, action, self.spec.preference_budget)
+        wanted, before = state.person.preference, state.tool_force
+        return preference.reward_terms(wanted, speed, force, before, action, self.spec.preference_budget)
 
     def _blocks(self, state: EnvState) -> dict[str, jax.Array]:
         """All observation blocks by name, in the order of the paper's observation table."""
@@ -337,23 +352,6 @@ class Env:
                 end += size
             layouts[agent] = seen
         return layouts
-
-    def _book(self, episode, s: Sensors, force, task_reward, preference_reward):
-        work_robot = jnp.abs(s["torque_robot"] * s["dtheta_robot"]).sum() * self.dt
-        work_human = jnp.abs(s["torque_human"] * s["dtheta_driven"]).sum() * self.dt
-        over = self.dt * (force > self.config.force_limit)
-        if self.config.human.preferring:
-            apart = {"task_return": task_reward, "preference_return": preference_reward}
-            apart = {name: episode[name] + reward for name, reward in apart.items()}
-        else:
-            apart = {}
-        return apart | {
-            "return": episode["return"] + task_reward + preference_reward,
-            "peak_force": jnp.maximum(episode["peak_force"], force),
-            "seconds_over_force_limit": episode["seconds_over_force_limit"] + over,
-            "work_robot": episode["work_robot"] + work_robot,
-            "work_human": episode["work_human"] + work_human,
-        }
 
 
 _SEED = 1_000_000  # folded into a reset's key for the state's seed; a split into four may be a fold of 0 to 3

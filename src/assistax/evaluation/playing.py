@@ -9,6 +9,7 @@ import numpy as np
 from assistax.env import Env
 from assistax.evaluation.distribution import Distribution
 from assistax.evaluation.statistics import bootstrap_ci, proportion_ci
+from assistax.human.harm import OUTCOMES as HARM
 from assistax.physics import check_faults
 from assistax.policies import Team
 from assistax.settings import check_count, check_seed
@@ -80,7 +81,7 @@ class Evaluator:
                 actions[agent], carries[agent] = act(params[agent], carries[agent], seen, first, k)
             obs, state, _, terminated, truncated, info = env.step_env(key, state, actions)
             still_on = playing & ~(terminated["__all__"] | truncated["__all__"])
-            out = {k: info[k] for k in ("reward_terms", "metrics", "force", "fault")}
+            out = {k: info[k] for k in ("reward_terms", "metrics", "robot_force", "fault")}
             out |= {"playing": playing, "qpos": state.physics.qpos, "marker": env.markers(state)}
             return (state, obs, carries, still_on, jnp.bool_(False)), out
 
@@ -93,7 +94,8 @@ class Evaluator:
             "metrics": jax.tree.map(lambda x: x[last], out["metrics"]),
             "person": person,
             "fault": jnp.where(on, out["fault"], 0).max(),
-            **{name: out[name] for name in ("force", *_SERIES)},
+            "force": out["robot_force"],
+            **{name: out[name] for name in _SERIES},
         }
 
 
@@ -116,6 +118,11 @@ def summarize(result: dict[str, Any]) -> dict[str, Any]:
     returns, success = metrics.pop("return"), metrics.pop("success")
     force: Distribution = result["force"]
     apart = [name for name in ("task_return", "preference_return") if name in metrics]  # only with preferences
+    safety: dict[str, Any] = {}
+    if "safe_success" in metrics:  # only where the scene measures harm
+        safe = metrics.pop("safe_success")
+        safety = {"safe_success_rate": float(safe.mean()), "safe_success_ci": proportion_ci(int(safe.sum()), len(safe))}
+        safety["harm"] = {name: _mean(metrics.pop(name)) for name in HARM}
     return {
         "episodes": len(returns),
         "mean_return": float(returns.mean()),
@@ -124,6 +131,7 @@ def summarize(result: dict[str, Any]) -> dict[str, Any]:
         "terms": {name: float(total.mean()) for name, total in result["terms"].items()},
         "success_rate": float(success.mean()),
         "success_ci": proportion_ci(int(success.sum()), len(success)),
+        **safety,
         "force": {
             "mean": force.mean,
             "mean_in_contact": force.mean_positive,

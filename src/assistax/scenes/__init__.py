@@ -8,15 +8,16 @@ from assistax.scenes.build import (
     MEAL_VIEW,
     NECK,
     POSTURES,
+    REGIONS,
     RIGHT_ARM,
-    ROBOT_JOINTS,
-    ROBOT_TORQUE,
+    WORKED_ON,
     Posture,
     SceneConfig,
     build,
     qpos_ids,
     sensor_slices,
 )
+from assistax.scenes.robots import PANDA, ROBOTS, RobotSpec, register_robot
 
 __all__ = [
     "BED_VIEW",
@@ -25,13 +26,17 @@ __all__ = [
     "LEFT_ARM",
     "MEAL_VIEW",
     "NECK",
+    "PANDA",
     "POSTURES",
+    "REGIONS",
     "RIGHT_ARM",
-    "ROBOT_JOINTS",
-    "ROBOT_TORQUE",
+    "ROBOTS",
+    "WORKED_ON",
     "Posture",
+    "RobotSpec",
     "SceneConfig",
     "build",
     "qpos_ids",
+    "register_robot",
     "sensor_slices",
 ]

@@ -31,28 +31,34 @@ from typing import Any
 import mujoco
 import numpy as np
 
-ASSETS = Path(__file__).parent / "assets"
+from assistax.errors import UsageError
+from assistax.scenes.robots import ASSETS, ROBOTS, RobotSpec
 
 HUMAN_JOINTS = (
     "neck_yaw", "neck_pitch", "trunk_pitch",
     "right_shoulder1", "right_shoulder2", "right_elbow",
     "left_shoulder1", "left_shoulder2", "left_elbow",
 )  # fmt: skip
-ROBOT_JOINTS = tuple(f"joint{i}" for i in range(1, 8))
 RIGHT_ARM = ("right_shoulder1", "right_shoulder2", "right_elbow")
 LEFT_ARM = ("left_shoulder1", "left_shoulder2", "left_elbow")
 NECK = ("neck_yaw", "neck_pitch")
 
+# Regions of the person's body, and what they are made of: a geom, a body without its children, or all below a body.
+REGIONS = {
+    "head": ("geom", "head"),
+    "torso": ("body", "torso"),
+    "upper_arm": ("geom", "right_upper_arm"),
+    "forearm": ("geom", "right_forearm"),
+    "hand": ("geom", "right_hand"),
+    "left_arm": ("xbody", "left_upper_arm"),
+}
 NET_FORCE = (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3, 1)  # data="force" reduce="netforce" num="1"
 # Where the robot touches, skin gives way: the less, the deeper (2 mm at 3 N). On a hard contact a sliding
 # tool chatters: it opens and closes every few steps, and a force cannot be held.
 SKIN = (0.01, 0.9, 0.01, 0.5, 2.0)  # solimp
 SKIN_FRICTION = 0.3
-READY_POSE = (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)  # rad
+WORKED_ON = {"upper_arm": "right_upper_arm", "forearm": "right_forearm", "head": "head"}  # body parts and their bodies
 HUMAN_TORQUE = 10.0  # N m at action 1
-ROBOT_TORQUE = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)  # N m, the Panda's limits
-SERVO_STIFFNESS = (1433.0, 1433.0, 1115.0, 1115.0, 637.0, 637.0, 637.0)  # N m/rad
-SERVO_DAMPING = (450.0, 450.0, 350.0, 350.0, 200.0, 200.0, 200.0)  # N m s/rad
 
 
 @dataclass(frozen=True)
@@ -104,11 +110,24 @@ class SceneConfig:
     robot_yaw: float
     human_driven: tuple[str, ...]  # joints with a motor, in the order of the human's action
     human_strength: float = 1.0  # fraction of HUMAN_TORQUE
-    ready: tuple[float, ...] = READY_POSE  # rad, where the arm starts
+    robot: str = "panda"  # of ROBOTS
+    ready: tuple[float, ...] | None = None  # rad, where the arm starts; None: at the robot's own ready pose
     targets: tuple[str, ...] = ()  # target sites on the person that become visible and get sensors
+    # Body parts, of WORKED_ON, as seen from which the tool's speed is measured; then the targets' speeds are, too.
+    relative_to: tuple[str, ...] = ()
+    harm: bool = False  # whether there are sensors of the robot's force on every region of the body, see REGIONS
     control: str = "torque"  # or "position": the robot's ctrl is a joint target in rad
     camera: tuple[float, ...] = (1.75, 1.65, 1.45, 0.33, 0.06, 0.62)  # eye and point looked at
     close: tuple[float, ...] = (1.05, 0.75, 1.30, 0.25, 0.02, 0.80)
+
+    @property
+    def arm(self) -> RobotSpec:
+        return ROBOTS[self.robot]
+
+    @property
+    def start(self) -> tuple[float, ...]:
+        """Where the arm starts, rad."""
+        return self.arm.ready if self.ready is None else self.ready
 
     def __post_init__(self):
         if self.control not in ("torque", "position"):
@@ -117,6 +136,8 @@ class SceneConfig:
             raise ValueError(f"posture must be one of {sorted(POSTURES)}, not {self.posture!r}")
         if unknown := set(self.human_driven) - set(HUMAN_JOINTS):
             raise ValueError(f"human_driven holds {sorted(unknown)}; the joints are {HUMAN_JOINTS}")
+        if unknown := set(self.relative_to) - set(WORKED_ON):
+            raise ValueError(f"relative_to holds {sorted(unknown)}; the body parts are {sorted(WORKED_ON)}")
 
 
 MEAL_VIEW: dict[str, Any] = {
@@ -139,10 +160,10 @@ def build(config: SceneConfig, visuals: bool = True) -> mujoco.MjSpec:
     world = spec.worldbody
     _attach(spec, config.furniture, world)
     _attach(spec, "human", world)
-    _attach(spec, "panda", world, config.robot_pos, _turn("z", config.robot_yaw))
+    _attach(spec, config.arm.mjcf, world, config.robot_pos, _turn("z", config.robot_yaw))
     if config.robot_pos[2] > 0:
         _attach(spec, "table", world, (*config.robot_pos[:2], 0.0))
-    _attach(spec, config.tool, spec.body("hand"), (0.0, 0.0, 0.1), _turn("z", pi))
+    _attach(spec, config.tool, spec.body("hand"), config.arm.mount, _turn("z", config.arm.mount_yaw))
     for name in config.targets:
         spec.site(name).group = 1
     if not visuals:
@@ -162,7 +183,7 @@ def build(config: SceneConfig, visuals: bool = True) -> mujoco.MjSpec:
     _add_sensors(spec, config)
     for name, view in (("main", config.camera), ("close", config.close)) if visuals else ():
         world.add_camera(name=name, pos=view[:3], quat=_look(view[:3], view[3:]), fovy=45)
-    angles = dict(zip(HUMAN_JOINTS + ROBOT_JOINTS, posture.rest + config.ready, strict=True))
+    angles = dict(zip(HUMAN_JOINTS + config.arm.joints, posture.rest + config.start, strict=True))
     spec.add_key(name="start", qpos=[angles[joint.name] for joint in spec.joints])
     return spec
 
@@ -181,13 +202,14 @@ def qpos_ids(model: mujoco.MjModel, joints: tuple[str, ...]) -> np.ndarray:
 
 
 def _attach(spec, part, parent, pos=(0.0, 0.0, 0.0), quat=(1.0, 0.0, 0.0, 0.0)):
-    path = ASSETS / f"{part}.xml"
+    """A part in assets/ by its name, or the path of an MJCF file."""
+    path = part if isinstance(part, Path) else ASSETS / f"{part}.xml"
     if not path.exists():
-        raise ValueError(f"no part named {part!r}; there are {sorted(p.stem for p in ASSETS.glob('*.xml'))}")
+        raise ValueError(f"no part {str(part)!r}; there are {sorted(p.stem for p in ASSETS.glob('*.xml'))}")
     frame = parent.add_frame(pos=pos, quat=quat)
-    spec.attach(mujoco.MjSpec.from_file(str(path)), frame=frame, prefix=f"{part}/")
+    spec.attach(mujoco.MjSpec.from_file(str(path)), frame=frame, prefix=f"{path.stem}/")
     for element in (*spec.bodies, *spec.joints, *spec.geoms, *spec.sites):  # names are unique without it
-        element.name = element.name.removeprefix(f"{part}/")
+        element.name = element.name.removeprefix(f"{path.stem}/")
 
 
 def _strip(spec):
@@ -233,8 +255,10 @@ def _add_actuators(spec, config):
     for name in config.human_driven:
         motor = spec.add_actuator(name=name, target=name, trntype=joint, ctrllimited=True, ctrlrange=(-2, 2))
         motor.gainprm[0] = HUMAN_TORQUE * config.human_strength
-    for i, name in enumerate(ROBOT_JOINTS):
-        limit = ROBOT_TORQUE[i]
+    robot = config.arm
+    if config.control == "position" and not robot.servo_stiffness:
+        raise UsageError(f"The robot {robot.name} has no servo: env.control=position is not possible.")
+    for i, (name, limit) in enumerate(zip(robot.joints, robot.torque, strict=True)):
         motor = spec.add_actuator(name=name, target=name, trntype=joint, ctrllimited=True)
         if config.control == "torque":
             motor.ctrlrange = (-limit, limit)
@@ -242,23 +266,23 @@ def _add_actuators(spec, config):
         else:
             motor.ctrlrange = spec.joint(name).range
             motor.forcelimited, motor.forcerange = True, (-limit, limit)
-            motor.gainprm[0] = SERVO_STIFFNESS[i]
+            motor.gainprm[0] = robot.servo_stiffness[i]
             motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-            motor.biasprm[1:3] = -SERVO_STIFFNESS[i], -SERVO_DAMPING[i]
+            motor.biasprm[1:3] = -robot.servo_stiffness[i], -robot.servo_damping[i]
 
 
 def _add_sensors(spec, config):
-    """Motors, tool, arm, mouth, targets; the two contact forces last. Joints are read from the state.
+    """Motors, tool, arm, mouth, targets, relative velocities; the contact forces last. Joints are read from the state.
 
     ``tool_force``: net force of the tool's working surface on the person; ``robot_force``: of the whole
-    robot on the person (N, world frame).
+    robot on the person; ``force_on_REGION``: the same on one region of REGIONS (N, world frame).
     """
     kind, obj = mujoco.mjtSensor, mujoco.mjtObj
 
     def sense(name, type_, objtype, objname, **kwargs):
         spec.add_sensor(name=name, type=type_, objtype=objtype, objname=objname, **kwargs)
 
-    for joint in (*config.human_driven, *ROBOT_JOINTS):  # N m, as the actuator exerts it
+    for joint in (*config.human_driven, *config.arm.joints):  # N m, as the actuator exerts it
         sense(f"torque_{joint}", kind.mjSENS_ACTUATORFRC, obj.mjOBJ_ACTUATOR, joint)
     pos, quat = kind.mjSENS_FRAMEPOS, kind.mjSENS_FRAMEQUAT
     sense("tool_pos", pos, obj.mjOBJ_SITE, "tool_tip")
@@ -273,12 +297,21 @@ def _add_sensors(spec, config):
     for target in config.targets:
         sense(f"{target}_pos", pos, obj.mjOBJ_SITE, target)
         sense(f"{target}_quat", quat, obj.mjOBJ_SITE, target)
+        if config.relative_to:
+            sense(f"{target}_vel", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, target)
+    for part in config.relative_to:
+        # In the part's axes, its own motion and turning taken out: the tool's velocity as the part sees it.
+        sense(f"tool_vel_{part}", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, "tool_tip",
+              reftype=obj.mjOBJ_XBODY, refname=WORKED_ON[part])  # fmt: skip
     for name, objtype, objname in (
         ("tool_force", obj.mjOBJ_BODY, "tool"),
         ("robot_force", obj.mjOBJ_XBODY, "robot"),  # in contact sensors, xbody means the whole subtree
     ):
         sense(name, kind.mjSENS_CONTACT, objtype, objname, reftype=obj.mjOBJ_XBODY, refname="human",
               intprm=NET_FORCE)  # fmt: skip
+    for region, (what, thing) in REGIONS.items() if config.harm else ():
+        sense(f"force_on_{region}", kind.mjSENS_CONTACT, obj.mjOBJ_XBODY, "robot",
+              reftype=getattr(obj, f"mjOBJ_{what.upper()}"), refname=thing, intprm=NET_FORCE)  # fmt: skip
 
 
 def _turn(axis, angle):

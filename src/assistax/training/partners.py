@@ -32,14 +32,31 @@ class Partner:
     trained: dict[str, Any] | None = None  # the configuration of its training, as JSON
 
 
-def find_partners(config: TrainConfig, env: Env, folder: Path) -> dict[str, Partner]:
-    """By agent, for the run in `folder`: from its copies if it has them."""
+GIVEN = "given"  # the name of a partner that is one's own Python object
+
+
+def find_partners(
+    config: TrainConfig, env: Env, folder: Path, players: Mapping[str, Player] | None = None
+) -> dict[str, Partner]:
+    """By agent, for the run in `folder`: from its copies if it has them.
+
+    `players` are those that have no name; they have to be given again whenever the run is opened.
+    """
+    players = dict(players or {})
     copies = dict(_pair(text) for text in config.partner_copies)
     partners: dict[str, Partner] = {}
     for text in config.partners:
         agent, name = _pair(text)
         choose("agent", agent, env.agents)
-        if agent in copies:
+        if name == GIVEN:
+            if agent not in players:
+                raise UsageError(
+                    f"The {agent} of {folder} is a player that Python code has made; open it there, with "
+                    f'Run.open(folder, players={{"{agent}": player}}).'
+                )
+            players[agent].check()
+            partners[agent] = Partner(players[agent])
+        elif agent in copies:
             partners[agent] = _of_copy(folder, copies[agent], env, agent)
         else:
             partners[agent] = find_partner(name, env, agent)

@@ -22,19 +22,25 @@ from assistax.policies import Player, Team
 from assistax.settings import with_settings
 from assistax.stamp import stamp_changes
 from assistax.training.configuration import TrainConfig, check_settings, to_json
-from assistax.training.partners import find_partners, keep_partners
+from assistax.training.partners import GIVEN, find_partners, keep_partners
 from assistax.training.run_folder import learned, newest_checkpoint, read_config
 from assistax.training.seeds import Seeds
 
 
 class Run:
-    """A run folder, new or found."""
+    """A run folder, new or found.
 
-    def __init__(self, folder: Path, config: TrainConfig):
+    Args:
+      folder: of the run.
+      config: what is asked for.
+      players: by agent, frozen partners that are one's own Python objects, beside those that `config` names.
+    """
+
+    def __init__(self, folder: Path, config: TrainConfig, players: Mapping[str, Player] | None = None):
         self.folder, self.config = folder, config
         self.env = Env(config.task, config.engine, config.env, config.task_config)
         self.iterations = config.iterations
-        self.partners = find_partners(config, self.env, folder)
+        self.partners = find_partners(config, self.env, folder, players)
         self._frozen = {agent: partner.player for agent, partner in self.partners.items()}
         self.trainer = config.trainer(self.env, self._frozen)
         self.steps_per_iteration = self.trainer.steps_per_iteration
@@ -43,11 +49,13 @@ class Run:
         self.seeds = Seeds(config.seeds)
 
     @classmethod
-    def create(cls, config: TrainConfig, folder: Path) -> "Run":
+    def create(cls, config: TrainConfig, folder: Path, players: Mapping[str, Player] | None = None) -> "Run":
         """Make the folder; it must be new or empty."""
+        given = tuple(f"{agent}={GIVEN}" for agent in players or {})
+        config = dataclasses.replace(config, partners=config.partners + given)
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise UsageError(f"{folder} is already in use; name another --out, or continue it with --resume {folder}.")
-        run = cls(folder, dataclasses.replace(config, partner_copies=()))
+        run = cls(folder, dataclasses.replace(config, partner_copies=()), players)
         try:
             (folder / "checkpoints").mkdir(parents=True)
         except OSError as error:
@@ -77,12 +85,18 @@ class Run:
             write_json(path, content)
 
     @classmethod
-    def open(cls, folder: Path, settings: Mapping[str, Any] | None = None, **changes) -> "Run":
+    def open(
+        cls,
+        folder: Path,
+        settings: Mapping[str, Any] | None = None,
+        players: Mapping[str, Player] | None = None,
+        **changes,
+    ) -> "Run":
         """Read a run folder; `changes` replace fields of its configuration, `settings` any by name ("ppo.gamma")."""
         check_settings(settings or {})
         config = read_config(folder)
         changes = {name: value for name, value in changes.items() if value is not None}
-        return cls(folder, with_settings(dataclasses.replace(config, **changes), settings or {}))
+        return cls(folder, with_settings(dataclasses.replace(config, **changes), settings or {}), players)
 
     # -- what it has learned ---------------------------------------------------------------------
 

@@ -20,21 +20,13 @@ from assistax.errors import UsageError
 from assistax.learning.actors import Actor
 from assistax.learning.gae import gae, horizon
 from assistax.learning.log import iteration_log, step_log
-from assistax.learning.networks import (
-    gaussian_entropy,
-    gaussian_log_prob,
-    init_mlp,
-    init_network,
-    mlp,
-    network_of,
-    step,
-    unroll,
-)
-from assistax.learning.normalizer import init_stats, normalize, update_stats
+from assistax.learning.networks import gaussian_entropy, gaussian_log_prob, mlp, step, unroll
+from assistax.learning.normalizer import init_stats, update_stats
 from assistax.learning.partners import Partners
 from assistax.learning.ppo.config import PPOConfig
 from assistax.learning.ppo.constraint import check_cost, combined, in_means, init_constraint, updated
 from assistax.learning.ppo.losses import adapted_rate, clip_networks, clipped_policy_loss, value_loss
+from assistax.learning.ppo.team import TeamNetworks
 from assistax.learning.tuned import overlaid
 from assistax.policies import Player
 from assistax.pytree import pytree
@@ -47,7 +39,7 @@ class TrainState:
     params: dict[str, Any]  # learner, or "shared" -> {"actor": Network with "log_std", "critic": Network}
     opt_state: Any
     rate_scale: dict[str, jax.Array]  # by name in params, factor of its actor's learning rate, see adapted_rate
-    normalizer: dict[str, Any]  # what is seen, see PPO._views -> RunningStats
+    normalizer: dict[str, Any]  # what is seen, see TeamNetworks -> RunningStats
     env_state: Any  # [num_envs, ...]
     obs: dict[str, jax.Array]  # agent -> [num_envs, n]
     reset: jax.Array  # [num_envs] whether obs begins an episode
@@ -95,24 +87,19 @@ class PPO:
         self._adam = optax.adam(1.0, eps=1e-5)  # its steps are multiplied by the learning rate
         self._updates = total_iterations * config.update_epochs * config.num_minibatches
         self._last_iteration = total_iterations - 1
-        self._critic_sees = {agent: "global" if config.central_critic else agent for agent in self.learners}
-        self._critics = ("critic", "cost_critic") if config.constrained else ("critic",)
-        self._units = config.hidden[0] if config.recurrent else 0  # of memory
-        self._sizes = {agent: env.observation_sizes[agent] for agent in self.learners}
-        if config.central_critic:
-            self._sizes["global"] = env.global_size
+        self.networks = TeamNetworks(env, config, self.learners)
 
     def init(self, key: jax.Array, tuned: Mapping[str, jax.Array] | None = None) -> TrainState:
         """A fresh state; `tuned` are settings by name that it carries in place of the configuration's."""
         tuned = dict(tuned or {})
         c, env = overlaid(self.config, tuned), self.env
         key, reset_key, net_key, partner_key = jax.random.split(key, 4)
-        params = self._init_params(c, net_key)
-        normalizer = {view: init_stats(size) for view, size in self._sizes.items()}
+        params = self.networks.init(net_key, c.initial_log_std)
+        normalizer = {view: init_stats(size) for view, size in self.networks.sizes.items()}
         # In step, all environments would be at the same moment of the task in every batch.
         elapsed = jnp.arange(self.num_envs) * env.episode_length // self.num_envs * c.stagger
         obs, env_state = jax.vmap(env.reset)(jax.random.split(reset_key, self.num_envs), elapsed)
-        blank = jnp.zeros((self.num_envs, self._units)) if c.recurrent else ()
+        blank = jnp.zeros((self.num_envs, self.networks.units)) if c.recurrent else ()
         return TrainState(
             params=params,
             opt_state=self._adam.init(params),
@@ -129,56 +116,7 @@ class PPO:
             tuned=tuned,
         )
 
-    def _init_params(self, c, key):
-        sizes, actions = self._sizes, self.env.action_sizes
-
-        def pair(key, seen, seen_by_critic, acts):
-            actor_key, critic_key = jax.random.split(key)
-            actor = init_network(actor_key, (seen, *c.hidden, acts), 0.01, c.recurrent)
-            actor["log_std"] = jnp.full(acts, c.initial_log_std, jnp.float32)
-            critic = init_mlp(critic_key, (self._units + seen_by_critic, *c.hidden, 1), 1.0)
-            networks = {"actor": actor, "critic": {"layers": critic}}
-            if self.config.constrained:
-                key = jax.random.fold_in(key, 1)  # the others are those of a training without
-                critic = init_mlp(key, (self._units + seen_by_critic, *c.hidden, 1), 1.0)
-                networks["cost_critic"] = {"layers": critic}
-            return networks
-
-        if c.share_parameters:  # see network_of
-            count = len(self.learners)
-            seen = max(sizes[agent] for agent in self.learners)
-            seen_by_critic = max(sizes[view] for view in self._critic_sees.values())
-            acts = max(actions[agent] for agent in self.learners)
-            return {"shared": pair(key, seen + count, seen_by_critic + count, acts)}
-        keys = zip(self.learners, jax.random.split(key, len(self.learners)), strict=True)
-        return {a: pair(k, sizes[a], sizes[self._critic_sees[a]], actions[a]) for a, k in keys}
-
     # -- acting --------------------------------------------------------------------------------
-
-    def _networks(self, params) -> dict[str, Any]:
-        """By learner its "actor", its "critic" and, if there is a limit, its "cost_critic"."""
-        if not self.config.share_parameters:
-            return params
-        shared, count, networks = params["shared"], len(self.learners), {}
-        for i, agent in enumerate(self.learners):
-            acts = self.env.action_sizes[agent]
-            own = network_of(shared["actor"], i, count, self._sizes[agent], acts)
-            networks[agent] = {"actor": own | {"log_std": shared["actor"]["log_std"][:acts]}}
-            for name in self._critics:
-                seen = self._units + self._sizes[self._critic_sees[agent]]
-                networks[agent][name] = network_of(shared[name], i, count, seen, 1)
-        return networks
-
-    def _views(self, obs, global_obs):
-        """All that networks see, by name: each learner's observation and, for central critics, "global"."""
-        everything = {agent: obs[agent] for agent in self.learners} | {"global": global_obs}
-        return {view: everything[view] for view in self._sizes}
-
-    def _seen(self, normalizer, views):
-        """`views` [..., n] as the networks see them."""
-        if not self.config.normalize_obs:
-            return views
-        return {view: normalize(normalizer[view], x) for view, x in views.items()}
 
     def _noise_correlation(self, c, iteration):
         """Of the exploration in this iteration: correlated noise finds the way, then disturbs."""
@@ -194,11 +132,11 @@ class PPO:
         c = self.config
         longest = max(self.env.action_sizes[agent] for agent in self.learners)
         correlation = self._noise_correlation(c, self._last_iteration)
-        return Actor(c.activation, c.normalize_obs, deterministic, self._units, correlation, longest)
+        return Actor(c.activation, c.normalize_obs, deterministic, self.networks.units, correlation, longest)
 
     def policy_params(self, state: TrainState) -> dict[str, Any]:
         """By learner, parameters for `policy`; of `state` only params and normalizer are read."""
-        networks = self._networks(state.params)
+        networks = self.networks.of(state.params)
         return {a: {"actor": networks[a]["actor"], "normalizer": state.normalizer[a]} for a in self.learners}
 
     def collect(self, state: TrainState) -> tuple[TrainState, dict]:
@@ -228,9 +166,9 @@ class PPO:
                 step_keys, env_state, actions
             )
             done = terminated["__all__"] | truncated["__all__"]
-            final = self._views(info["final_observation"], info.get("final_global_observation"))
+            final = self.networks.views(info["final_observation"], info.get("final_global_observation"))
             played = {
-                "obs": self._views(obs, global_obs_before),
+                "obs": self.networks.views(obs, global_obs_before),
                 "final_obs": final,
                 "reset": reset,
                 "actions": {agent: actions[agent] for agent in self.learners},
@@ -273,8 +211,11 @@ class PPO:
         [num_steps, num_envs, ...]: "obs" as networks see it, "reset" and, by learner, its actions with
         their advantages and value targets.
         """
-        c, networks = overlaid(self.config, state.tuned), self._networks(state.params)
-        seen, final = self._seen(state.normalizer, batch["obs"]), self._seen(state.normalizer, batch["final_obs"])
+        c, networks = overlaid(self.config, state.tuned), self.networks.of(state.params)
+        seen, final = (
+            self.networks.seen(state.normalizer, batch["obs"]),
+            self.networks.seen(state.normalizer, batch["final_obs"]),
+        )
         samples = {"obs": seen, "reset": batch["reset"], "kept": batch["kept"]}
         advantages, cost_advantages = {}, {}
         for agent in self.learners:
@@ -284,8 +225,8 @@ class PPO:
             _, after = step(actor, final[agent], memory, jnp.zeros_like(reset), c.activation)
 
             def judged(critic, rewards, memory=memory, after=after, agent=agent):
-                values = self._value(critic, agent, seen, memory)
-                next_values = self._value(critic, agent, final, after)
+                values = self.networks.value(critic, agent, seen, memory)
+                next_values = self.networks.value(critic, agent, final, after)
                 ends = batch["terminated"], batch["done"]
                 # Values are then means of the rewards to come. Advantages are normalised anyway.
                 rewards = rewards / horizon(c.gamma, self.env.episode_length)
@@ -303,13 +244,6 @@ class PPO:
         for agent in self.learners:
             samples[agent]["advantage"] = advantages[agent]
         return samples
-
-    def _value(self, critic, agent, seen, memory):
-        """The critic's value [...] of what is `seen` and of the actor's `memory` after it."""
-        x = seen[self._critic_sees[agent]]
-        if self.config.recurrent:
-            x = jnp.concatenate([jax.lax.stop_gradient(memory), x], -1)
-        return mlp(critic["layers"], x, self.config.activation)[..., 0]
 
     def improve(self, state: TrainState, batch: dict) -> tuple[TrainState, dict]:
         """`update_epochs` passes over the batch; returns the means of the losses and the like."""
@@ -340,7 +274,7 @@ class PPO:
             if c.anneal_learning_rate:
                 rate *= 1.0 - opt_state[0].count / self._updates
             updates, opt_state = self._adam.update(clip_networks(grads, c.max_grad_norm), opt_state)
-            critics = dict.fromkeys(self._critics, rate)
+            critics = dict.fromkeys(self.networks.critics, rate)
             rates = {name: {"actor": rate * scale} | critics for name, scale in state.rate_scale.items()}
             updates = jax.tree.map(optax.tree.scale, rates, updates)
             return (optax.apply_updates(params, updates), opt_state), stats
@@ -357,7 +291,7 @@ class PPO:
         if c.share_parameters:
             kl = {"shared": sum(kl.values()) / len(kl)}
         rate_scale = {name: adapted_rate(state.rate_scale[name], kl[name], c.desired_kl) for name in kl}
-        for agent, networks in self._networks(params).items():
+        for agent, networks in self.networks.of(params).items():
             value, target = samples[agent]["critic"]["old"], samples[agent]["critic"]["target"]
             stats[agent]["explained_variance"] = 1.0 - jnp.var(target - value) / (jnp.var(target) + 1e-8)
             stats[agent]["std"] = jnp.exp(networks["actor"]["log_std"]).mean()
@@ -377,7 +311,7 @@ class PPO:
 
     def _loss(self, c, params, part, start):
         losses, stats = {}, {}
-        for agent, networks in self._networks(params).items():
+        for agent, networks in self.networks.of(params).items():
             losses[agent], stats[agent] = self._agent_loss(c, agent, networks, part, start[agent])
         # Shared weights learn from all agents' samples together: the mean over them.
         return sum(losses.values()) / (len(losses) if c.share_parameters else 1), stats
@@ -415,8 +349,10 @@ class PPO:
         log_ratio = log_prob - x["log_prob"]
         policy_loss = clipped_policy_loss(log_ratio, x["advantage"], c.clip_eps)
         clip = c.clip_eps if c.clip_value else None
-        value = {name: self._value(networks[name], agent, part["obs"], memory) for name in self._critics}
-        errors = {name: value_loss(value[name], **x[name], clip_eps=clip) for name in self._critics}
+        value = {
+            name: self.networks.value(networks[name], agent, part["obs"], memory) for name in self.networks.critics
+        }
+        errors = {name: value_loss(value[name], **x[name], clip_eps=clip) for name in self.networks.critics}
         entropy = gaussian_entropy(log_std)
         stats = {
             "policy_loss": policy_loss,

@@ -59,11 +59,11 @@ class Expert:
         if env.config.control != "torque":
             raise UsageError(f"The expert plays with env.control=torque only, not {env.config.control!r}.")
         self.env = env
-        self.tool = geometry.Chain(env.model, "tool_tip", scenes.ROBOT_JOINTS)
-        self._ids = scenes.qpos_ids(env.model, scenes.ROBOT_JOINTS)
+        self.tool = geometry.Chain(env.model, "tool_tip", env.robot.joints)
+        self._ids = scenes.qpos_ids(env.model, env.robot.joints)
         scene = env.spec.scene
-        self._base, self._ready = jnp.array(scene.robot_pos), jnp.array(scene.ready)
-        self._full = jnp.array(scenes.ROBOT_TORQUE) * env.config.torque_scale
+        self._base, self._ready = jnp.array(scene.robot_pos), jnp.array(scene.start)
+        self._full = jnp.array(env.robot.torque) * env.config.torque_scale
         # The joints' own damping, given back: where the arm is stretched it would swallow a force of 1 N.
         self._drag = 0.9 * jnp.array(env.model.dof_damping[self._ids])
 

@@ -1,0 +1,84 @@
+"""The networks of a team: which there are, what each sees, and how learners share them."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from assistax.learning.networks import init_mlp, init_network, mlp, network_of
+from assistax.learning.normalizer import normalize
+from assistax.learning.ppo.config import PPOConfig
+
+
+class TeamNetworks:
+    """An actor, a critic and, with a limit on cost, a cost critic for each learner; holds no parameters.
+
+    What networks see goes by the name of a view: a learner's observation, or "global" for central critics.
+    """
+
+    def __init__(self, env, config: PPOConfig, learners: tuple[str, ...]):
+        self.config, self.learners, self._actions = config, learners, env.action_sizes
+        self.critics = ("critic", "cost_critic") if config.constrained else ("critic",)
+        self.units = config.hidden[0] if config.recurrent else 0  # of memory
+        self.sizes = {agent: env.observation_sizes[agent] for agent in learners}  # by view
+        if config.central_critic:
+            self.sizes["global"] = env.global_size
+        self._critic_sees = {agent: "global" if config.central_critic else agent for agent in learners}
+
+    def init(self, key: jax.Array, initial_log_std: float | jax.Array) -> dict[str, Any]:
+        """By learner, or under "shared", its networks."""
+        c = self.config
+        sizes, actions = self.sizes, self._actions
+
+        def pair(key, seen, seen_by_critic, acts):
+            actor_key, critic_key = jax.random.split(key)
+            actor = init_network(actor_key, (seen, *c.hidden, acts), 0.01, c.recurrent)
+            actor["log_std"] = jnp.full(acts, initial_log_std, jnp.float32)
+            critic = init_mlp(critic_key, (self.units + seen_by_critic, *c.hidden, 1), 1.0)
+            networks = {"actor": actor, "critic": {"layers": critic}}
+            if c.constrained:
+                key = jax.random.fold_in(key, 1)  # the others are those of a training without
+                critic = init_mlp(key, (self.units + seen_by_critic, *c.hidden, 1), 1.0)
+                networks["cost_critic"] = {"layers": critic}
+            return networks
+
+        if c.share_parameters:  # see network_of
+            count = len(self.learners)
+            seen = max(sizes[agent] for agent in self.learners)
+            seen_by_critic = max(sizes[view] for view in self._critic_sees.values())
+            acts = max(actions[agent] for agent in self.learners)
+            return {"shared": pair(key, seen + count, seen_by_critic + count, acts)}
+        keys = zip(self.learners, jax.random.split(key, len(self.learners)), strict=True)
+        return {a: pair(k, sizes[a], sizes[self._critic_sees[a]], actions[a]) for a, k in keys}
+
+    def of(self, params) -> dict[str, Any]:
+        """By learner its "actor", its "critic" and, if there is a limit, its "cost_critic"."""
+        if not self.config.share_parameters:
+            return params
+        shared, count, networks = params["shared"], len(self.learners), {}
+        for i, agent in enumerate(self.learners):
+            acts = self._actions[agent]
+            own = network_of(shared["actor"], i, count, self.sizes[agent], acts)
+            networks[agent] = {"actor": own | {"log_std": shared["actor"]["log_std"][:acts]}}
+            for name in self.critics:
+                seen = self.units + self.sizes[self._critic_sees[agent]]
+                networks[agent][name] = network_of(shared[name], i, count, seen, 1)
+        return networks
+
+    def views(self, obs, global_obs):
+        """All that networks see, by name: each learner's observation and, for central critics, "global"."""
+        everything = {agent: obs[agent] for agent in self.learners} | {"global": global_obs}
+        return {view: everything[view] for view in self.sizes}
+
+    def seen(self, normalizer, views):
+        """`views` [..., n] as the networks see them."""
+        if not self.config.normalize_obs:
+            return views
+        return {view: normalize(normalizer[view], x) for view, x in views.items()}
+
+    def value(self, critic, agent, seen, memory):
+        """The critic's value [...] of what is `seen` and of the actor's `memory` after it."""
+        x = seen[self._critic_sees[agent]]
+        if self.config.recurrent:
+            x = jnp.concatenate([jax.lax.stop_gradient(memory), x], -1)
+        return mlp(critic["layers"], x, self.config.activation)[..., 0]
