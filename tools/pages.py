@@ -30,7 +30,7 @@ EPISODES = 64
 BOUNDS = {spec.name: spec.bound for spec in TASKS.values() if spec.version == 0}
 EXPERTS_PAGE = """# Scripted policies
 
-Each task has a scripted robot, the expert, that knows the whole simulator state (`src/assistax/experts.py`).
+Each task has a scripted robot, the expert, that knows the whole simulator state (`src/assistax/policies/experts/`).
 All numbers are over {episodes} episodes on the evaluation seeds; the person is still unless said otherwise. This page
 is written by `python tools/pages.py experts` from `results/experts.json`.
 
