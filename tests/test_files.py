@@ -188,7 +188,7 @@ def test_the_older_checkpoint_is_named(tmp_path):
             with pytest.raises(UsageError, match=words) as error:
                 use()
             assert str(newest) in str(error.value)
-            assert str(error.value).endswith("Remove it to go on from step_000000000064.safetensors.")
+            assert str(error.value).endswith("Remove it to continue from step_000000000064.safetensors.")
     newest.unlink()
     assert Run.open(run.folder).teams()
 
