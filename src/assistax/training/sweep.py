@@ -251,8 +251,10 @@ class Program:
 
 
 def point(log: Mapping[str, Any], episode_length: int) -> list[float]:
-    """Of an iteration's log: the return of an episode at that rate of reward (NaN if the simulation broke), episodes that
-    ended, successes."""
+    """Of an iteration's log: the return of an episode at that rate of reward, episodes that ended, successes.
+
+    The return is NaN if the simulation broke.
+    """
     episodes = int(log["episodes"])
     reward = math.nan if log["fault"] else float(sum(log["reward"].values()))
     return [episode_length * reward, episodes, episodes * float(log["episode"].get("success", math.nan))]
