@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import sys
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ from assistax.files import mismatch, read_json, read_rows, write_atomically, wri
 from assistax.results.stored import find_runs
 from assistax.training.checkpoint import EVERYTHING, content_hash, load_checkpoint, read_metadata, save_checkpoint
 from assistax.training.configuration import configure
+from assistax.training.loop import train
 from assistax.training.run import Run
 from assistax.training.run_folder import read_config
 
@@ -184,7 +186,7 @@ def test_the_older_checkpoint_is_named(tmp_path):
     content = bytearray(newest.read_bytes())
     for bad, words in ((content[:-1] + b"\x01", "is not what was saved"), (content[:100], "not a safetensors file")):
         newest.write_bytes(bad)
-        for use in (Run.open(run.folder).teams, Run.open(run.folder).train):
+        for use in (Run.open(run.folder).teams, partial(train, Run.open(run.folder))):
             with pytest.raises(UsageError, match=words) as error:
                 use()
             assert str(newest) in str(error.value)
@@ -240,7 +242,7 @@ def test_an_error_of_several_lines_is_cut(tmp_path):
 def test_a_full_disk_is_one_line(tmp_path, refused, monkeypatch):
     run, made = stored_run(tmp_path / "run", small()), write_run(tmp_path / "made", [1, 2])
     with monkeypatch.context() as patch:
-        patch.setattr(Run, "train", no_space)  # as when rows are written
+        patch.setattr("assistax.training.loop.train", no_space)  # as when rows are written
         assert f"Cannot write {run.folder}: {FULL}" in refused("train", "--resume", run.folder)
     monkeypatch.setattr(os, "fsync", no_space)
     assert FULL in refused("train", "scratch", "--out", tmp_path / "new")
