@@ -1,5 +1,7 @@
 """The pages for those who build on the package: their code runs as it stands."""
 
+import re
+
 import pytest
 from pages import DOCS, imported, python_blocks
 
@@ -17,3 +19,11 @@ def test_the_code_of_a_page_runs(page, tmp_path, registries, capsys):
 def test_readme_names_the_pages():
     readme = (DOCS.parent / "README.md").read_text()
     assert not [page for page in DOCS.glob("your_*.md") if f"docs/{page.name}" not in readme]
+
+
+@pytest.mark.parametrize("page", ["docs/design.md", "docs/experts.md", "README.md", "CONTRIBUTING.md"])
+def test_the_files_that_a_page_names_are_there(page):
+    root = DOCS.parent
+    named = re.findall(r"`([\w./]+(?:\.py|/))`", (root / page).read_text())
+    places = (root, root / "src/assistax")
+    assert not [name for name in named if not any((place / name).exists() for place in places)]

@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import sys
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -185,11 +186,11 @@ def test_the_older_checkpoint_is_named(tmp_path):
     content = bytearray(newest.read_bytes())
     for bad, words in ((content[:-1] + b"\x01", "is not what was saved"), (content[:100], "not a safetensors file")):
         newest.write_bytes(bad)
-        for use in (Run.open(run.folder).teams, lambda: train(Run.open(run.folder))):
+        for use in (Run.open(run.folder).teams, partial(train, Run.open(run.folder))):
             with pytest.raises(UsageError, match=words) as error:
                 use()
             assert str(newest) in str(error.value)
-            assert str(error.value).endswith("Remove it to go on from step_000000000064.safetensors.")
+            assert str(error.value).endswith("Remove it to continue from step_000000000064.safetensors.")
     newest.unlink()
     assert Run.open(run.folder).teams()
 

@@ -297,7 +297,7 @@ def test_a_curve_is_the_mean_of_episodes_where_all_seeds_are(tmp_path):
     np.testing.assert_allclose(values, [[-98], [-96], [-92]])
     assert best_source(found) == "evaluation"
     (b / "evaluations.jsonl").unlink()
-    assert [best_source(one) for one in pooled(a, b)] == ["training"]
+    assert best_source(*pooled(a, b)) == "training"
 
 
 def test_long_training_curves_are_averaged_in_windows(tmp_path):

@@ -30,7 +30,7 @@ EPISODES = 64
 BOUNDS = {spec.name: spec.bound for spec in TASKS.values() if spec.version == 0}
 EXPERTS_PAGE = """# Scripted policies
 
-Each task has a scripted robot, the expert, that knows the whole simulator state (`src/assistax/experts.py`).
+Each task has a scripted robot, the expert, that knows the whole simulator state (`src/assistax/policies/experts/`).
 All numbers are over {episodes} episodes on the evaluation seeds; the person is still unless said otherwise. This page
 is written by `python tools/pages.py experts` from `results/experts.json`.
 
@@ -54,7 +54,7 @@ Success, and in brackets the mean force in contact in N:
 
 ## Considerate expert
 
-The considerate expert knows what the person likes (drawn from the paper's sweep at every reset) and keeps pace and
+The considerate expert knows what the person prefers (drawn from the paper's sweep at every reset) and keeps speed and
 force inside it; the plain one does not:
 
 {considerate}
@@ -203,7 +203,7 @@ SHORT = 10_000_000  # steps; beside longer runs one could not see how these lear
 def results(folder: Path, pictures: Path) -> str:
     """The page of the trained teams; their learning curves go to the folder `pictures`."""
     found, references = experiments(find_runs((folder,))), read_references()
-    said = report(found, references, compare=False)
+    results = report(found, references, compare=False)
     evaluated = [e for e in found if all(run.rows("evaluations") for run in e.runs)]
     for name, long in {"learning_curves": False, "learning_curves_long": True}.items():
         shown = [e for e in evaluated if (e.method.steps > SHORT) == long]
@@ -211,8 +211,8 @@ def results(folder: Path, pictures: Path) -> str:
     files = [folder / "crossplay" / f"{task}.json" for task in BOUNDS]
     meetings = [read_json(path, {str: object}) for path in files if path.exists()]
     return RESULTS_PAGE.format(
-        tables="\n\n".join(markdown(*each) for each in tables(said)),
-        remarks="\n".join(f"- {remark}" for remark in said["remarks"]),
+        tables="\n\n".join(markdown(*each) for each in tables(results)),
+        remarks="\n".join(f"- {remark}" for remark in results["remarks"]),
         crossplay="\n\n".join(f"### {one['task']}\n\n{markdown(*crossplay.table(one))}" for one in meetings),
     )
 

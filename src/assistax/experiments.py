@@ -42,7 +42,7 @@ class Job(Protocol):
         ...
 
     def advance(self, work: Path, seconds: float) -> Path | list[Path] | None:
-        """Go on in `work` for about so long; when finished, the file or the files of a folder to keep."""
+        """Continue in `work` for about so many seconds; when finished, the file or the files of a folder to keep."""
         ...
 
 
@@ -143,7 +143,7 @@ class Sweeping:
 
 
 def _trainings(algorithm: str, preset: str, people: str, seed: int, steps: int | None = None) -> Iterator[Job]:
-    """On every task; of the steps that are usual here, unless told."""
+    """On every task; with the usual number of steps, unless given."""
     steps = steps or (SAC_STEPS if algorithm == "masac" else STEPS)[preset]
     return (Training(task, algorithm, preset, people, seed, steps) for task in TASKS)
 
@@ -183,7 +183,7 @@ def advance(chosen: list[Job], results: Path, work: Path, seconds: float) -> lis
         print(f"{experiment.name} ({experiment.progress(work / experiment.name):.0%} done)", flush=True)
         try:
             kept = experiment.advance(work / experiment.name, left)
-        except UsageError as error:  # of this one; the others can go on
+        except UsageError as error:  # of this one; the others can continue
             print(f"{experiment.name}: {error}", file=sys.stderr)
             continue
         if kept is None:

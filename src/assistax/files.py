@@ -31,7 +31,7 @@ def read_json(path: Path, schema: Schema) -> Any:
 def read_rows(path: Path, schema: Schema) -> list[dict[str, Any]]:
     """The rows of a JSON-lines file, which fit `schema`; none if there is no file.
 
-    A last line that is not JSON was torn by a crash, and is left out.
+    A last line that is not JSON was cut short by a crash, and is left out.
     """
     if not path.exists():
         return []

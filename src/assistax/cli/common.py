@@ -14,7 +14,7 @@ from assistax.errors import UsageError
 Task = Annotated[str, tyro.conf.Positional]
 Target = Annotated[str, tyro.conf.Positional, arg(metavar="RUN|TASK")]
 Runs = Annotated[tuple[Path, ...], tyro.conf.Positional, arg(metavar="RUN ...")]
-# Optional arguments, whose defaults the descriptions tell in words.
+# Optional arguments, whose defaults the descriptions say.
 Name = Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")]
 File = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
 Number = Annotated[

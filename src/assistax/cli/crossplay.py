@@ -47,13 +47,13 @@ def crossplay(
 
     if out is not None:
         check_format(out)
-    said = cross_play(_entrants(targets, engine, set), episodes, EVALUATION_SEED if seed is None else seed)
+    report = cross_play(_entrants(targets, engine, set), episodes, EVALUATION_SEED if seed is None else seed)
     if out is not None:
-        save(picture(said), out)
+        save(picture(report), out)
     if json:
-        print_json(said | stamp())
+        print_json(report | stamp())
         return
-    print(aligned(*table(said)))
+    print(aligned(*table(report)))
     if out is not None:
         print(f"wrote {out}")
 

@@ -4,7 +4,7 @@ from assistax.cli.common import Json, Name, print_json
 
 
 def humans(*, people: Name = None, seed: int = 0, json: Json = False) -> None:
-    """Say who the person can be: the seven standard disabilities, and a preference in words.
+    """Say who the person can be: the seven standard disabilities, and a preference as a sentence.
 
     Any of them can be trained with or evaluated on:
       assistax train scratch --set env.human.disability=tremor+weakness env.human.preference=default
@@ -38,13 +38,13 @@ def humans(*, people: Name = None, seed: int = 0, json: Json = False) -> None:
             print(f"{i:4} {person.disability:34} {words}")
         return
     check_seed("seed", seed)
-    liked = preference.sample(jax.random.key(seed))
-    words = preference.describe(liked)
+    drawn = preference.sample(jax.random.key(seed))
+    words = preference.describe(drawn)
     if json:
-        vector = [round(float(x), 4) for x in preference.vector(liked)]
+        vector = [round(float(x), 4) for x in preference.vector(drawn)]
         ranges = {"disability": disability.RANGES, "preference": preference.RANGES, "weights": preference.WEIGHTS}
-        drawn = {"preference": vector, "spelling": preference.spell(liked), "words": words}
-        print_json({"disabilities": DISABILITIES, "ranges": ranges, **drawn})
+        example = {"preference": vector, "spelling": preference.spell(drawn), "words": words}
+        print_json({"disabilities": DISABILITIES, "ranges": ranges, **example})
         return
     for name, parts in DISABILITIES.items():
         print(f"{name:34} {' '.join(f'{part}={value:g}' for part, value in parts.items())}")

@@ -8,7 +8,7 @@ from assistax.errors import UsageError
 
 
 def reproduce(*, budget: Name = None, only: Name = None, seeds: int = 1) -> None:
-    """List the experiments behind the results and how far they are; with a budget, go on with them.
+    """List the experiments behind the results and how far they are; with a budget, continue them.
 
     What is finished goes to results/; unfinished runs wait in runs/reproduce/ for the next time.
 

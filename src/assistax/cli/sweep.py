@@ -36,7 +36,7 @@ def sweep(
     Writes one folder: sweep.json, trials.jsonl (a line per configuration and seed), ranking.json, sweep.png with a
     panel per hyperparameter, and in the end a sweep_NAME.png for each continuous one as in the paper's appendix.
     Continuous hyperparameters are inputs of one compiled program, so that only the choices cost a compilation each.
-    Ctrl-C saves and stops; `--resume SWEEP` goes on where it stopped.
+    Ctrl-C saves and stops; `--resume SWEEP` continues where it stopped.
 
     For example:
       assistax sweep scratch
@@ -48,7 +48,7 @@ def sweep(
       task: what to do together; `assistax tasks` lists them.
       algorithm: ippo (default), mappo, masac or isac.
       recurrent: networks with memory (GRU); ippo and mappo.
-      share_parameters: one network for both, told who it plays; ippo and mappo.
+      share_parameters: one network for both, which is given who it plays; ippo and mappo.
       configs: how many configurations are drawn (default 168, as in the paper).
       seeds: how many times each is trained (default 12, as in the paper).
       steps: environment steps per trial (default 5 million).
@@ -56,7 +56,7 @@ def sweep(
       seed: of the draw, and the first one to train with (default 0).
       engine: auto (default), mujoco, warp or mjx.
       preset: what is not searched: default, or paper for the paper's table.
-      partner: seats that do not learn and who plays them, as in `assistax train`.
+      partner: frozen partners, as in `assistax train`.
       search: instead of or besides the paper's hyperparameters: an interval, drawn log-uniformly if it is above zero,
         or choices.
       set: fix any setting, for example ppo.num_minibatches=8; it is then not searched.

@@ -5,7 +5,7 @@ from assistax.errors import UsageError
 
 
 def table(runs: Runs = (), *, compare: bool = False, markdown: bool = False, json: Json = False) -> None:
-    """Tabulate what finished runs have come to, with 95 % intervals over their seeds.
+    """Tabulate the results of finished runs, with 95 % intervals over their seeds.
 
     Runs that differ in nothing but seeds are one row. Below it, for each algorithm with several tasks, the
     interquartile mean of normalised returns: by the paper's bound, by the expert's return, and between the worst and
@@ -28,10 +28,10 @@ def table(runs: Runs = (), *, compare: bool = False, markdown: bool = False, jso
 
     if json and markdown:
         raise UsageError("Choose one of --json and --markdown.")
-    said = report(experiments(find_runs(runs)), read_references(), compare)
+    results = report(experiments(find_runs(runs)), read_references(), compare)
     if json:
-        print_json(said)
+        print_json(results)
         return
-    print("\n\n".join((as_markdown if markdown else aligned)(*each) for each in tables(said)))
-    for remark in said["remarks"]:
+    print("\n\n".join((as_markdown if markdown else aligned)(*each) for each in tables(results)))
+    for remark in results["remarks"]:
         print(f"\n{remark}")

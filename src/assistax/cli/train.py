@@ -30,7 +30,7 @@ def train(
     """Train robot and human together, then evaluate and film them.
 
     Writes one folder: config.json, metrics.jsonl, evaluations.jsonl, checkpoints/, learning_curve.png,
-    summary.json and rollout.mp4. Ctrl-C saves and stops; `--resume RUN` goes on where it stopped, to the bit.
+    summary.json and rollout.mp4. Ctrl-C saves and stops; `--resume RUN` continues where it stopped, to the bit.
 
     For example:
       assistax train scratch
@@ -46,13 +46,13 @@ def train(
       task: what to do together; `assistax tasks` lists them.
       algorithm: ippo (default), mappo, masac or isac.
       recurrent: networks with memory (GRU); ippo and mappo.
-      share_parameters: one network for both, told who it plays; ippo and mappo.
+      share_parameters: one network for both, which is given who it plays; ippo and mappo.
       steps: environment steps per seed (default 5 million; the paper trains for 40 million).
       num_envs: environments side by side, per seed (default 256; 1024 with the paper's preset of ippo and mappo).
       seed: first random seed (default 0).
       num_seeds: independent runs in one program, with seeds S, S+1, ... (default 1).
       engine: auto (default), mujoco, warp or mjx.
-      partner: AGENT=WHO for a seat that does not learn: a scripted policy, or a run folder whose policy (of
+      partner: AGENT=WHO for a frozen partner, who does not learn: a scripted policy, or a run folder whose policy (of
         several seeds, one per episode) plays it as it was trained.
       preset: hyperparameters: default, or paper for the paper's table.
       out: run folder (default runs/TASK-ALGORITHM-SEED, with a number if taken).

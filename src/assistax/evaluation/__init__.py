@@ -1,4 +1,4 @@
-"""How well a team does: play whole episodes, say what they came to, film them."""
+"""How well a team does: play whole episodes, summarise and film them."""
 
 from assistax.evaluation.playing import EVALUATION_SEED, evaluate, play, summarize
 

@@ -12,7 +12,7 @@ import jax
 from assistax.policies import Policy
 
 TrainerState = Any
-"""A pytree of arrays that holds everything a run needs to go on exactly, random keys included.
+"""A pytree of arrays that holds everything a run needs to continue exactly, random keys included.
 
 Two fields are read from outside, by name and without the others, when a checkpoint is played: `params` and
 `normalizer`. `policy_params` must need no more of a state than these.

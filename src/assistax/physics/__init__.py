@@ -1,4 +1,4 @@
-"""Three physics engines behind one protocol, told apart by one word."""
+"""Three physics engines behind one protocol, chosen by one word."""
 
 import mujoco
 

@@ -23,7 +23,7 @@ UNSTABLE, OVERFLOW = 1, 2
 class PhysicsState:
     """One simulated scene. Batch it with `jax.vmap`, nested if need be.
 
-    The state is the same for all engines, so a checkpoint of one can go on with another.
+    The state is the same for all engines, so a run can be continued on another engine.
 
     `sensordata` is a snapshot of one instant: positions, velocities and contact forces belong
     together. As after MuJoCo's own `mj_step`, that instant is the start of the last physics step,

@@ -95,7 +95,7 @@ class WarpEngine(_MjxBase):
             return mjx.make_data(self.model, impl="warp", naconmax=num_envs * self._contacts, njmax=self._constraints)
 
     def _read(self, d):
-        # The counters go on counting what found no room; the contact buffer is shared by the batch.
+        # The counters also count what found no room; the contact buffer is shared by the batch.
         wanted = jnp.maximum(jnp.max(d._impl.nacon), jnp.max(d._impl.ncollision))
         lost = (wanted > d._impl.naconmax) | (jnp.max(d._impl.nefc) > self._constraints)
         return d.sensordata, jnp.where(lost, OVERFLOW, 0).astype(jnp.int32)

@@ -1,1 +1,1 @@
-"""What finished runs have come to: their folders read, pooled over seeds, compared, drawn."""
+"""Results of finished runs: their folders read, pooled over seeds, compared, drawn."""

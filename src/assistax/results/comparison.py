@@ -102,7 +102,7 @@ def estimate(tasks: Sequence[np.ndarray], least: float = -np.inf, most: float = 
 
 
 def describe(experiment: Experiment, records: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """One row: where it comes from and what its last evaluations came to, ready for JSON."""
+    """One row: where it comes from and the results of its last evaluations, ready for JSON."""
     runs, returns = experiment.runs, experiment.final("mean_return")
     row = {"task": experiment.task, "person": experiment.person, **dataclasses.asdict(experiment.method)}
     row |= {"seeds": experiment.seeds, "episodes": int(experiment.final("episodes").min())}
@@ -156,16 +156,16 @@ def comparisons(found: Sequence[Experiment]) -> list[dict[str, Any]]:
 
 def report(found: Sequence[Experiment], records: Sequence[dict[str, Any]], compare: bool = False) -> dict[str, Any]:
     """All there is to say of finished experiments, ready for JSON and for `tables`."""
-    said = {"experiments": [describe(e, records) for e in found], "aggregates": aggregates(found, records)}
+    results = {"experiments": [describe(e, records) for e in found], "aggregates": aggregates(found, records)}
     if compare:
-        said["comparisons"] = comparisons(found)
-    said["remarks"] = [*differences(found), *_remarks(said, bool(records))]
-    return said
+        results["comparisons"] = comparisons(found)
+    results["remarks"] = [*differences(found), *_remarks(results, bool(records))]
+    return results
 
 
-def _remarks(said: dict[str, Any], referenced: bool) -> list[str]:
+def _remarks(results: dict[str, Any], referenced: bool) -> list[str]:
     """What the cells mean, in sentences."""
-    rows, words = said["experiments"], []
+    rows, words = results["experiments"], []
     numbers = [len(row["seeds"]) for row in rows]
     if 1 in numbers:
         words.append("1 seed: no interval, for it says nothing about the next.")
@@ -187,10 +187,10 @@ def _remarks(said: dict[str, Any], referenced: bool) -> list[str]:
 Table = tuple[list[str], list[list[str]]]
 
 
-def tables(said: dict[str, Any]) -> list[Table]:
+def tables(results: dict[str, Any]) -> list[Table]:
     """Head and cells of each table of a `report`."""
     found = []
-    rows = said["experiments"]
+    rows = results["experiments"]
     head = ["task", *_METHOD, "seeds", "return [95 %]", "of the bound", "of the expert"]
     apart = [name for name in ("task_return", "preference_return") if any(name in row for row in rows)]
     head += [name.replace("_", " ") for name in apart] + ["success", "force in contact, N", "peak force, N"]
@@ -204,7 +204,7 @@ def tables(said: dict[str, Any]) -> list[Table]:
             [*cell, *(_estimate(row[name], n, "{:.1f}".format) for name in ("force_in_contact", "peak_force"))]
         )
     found.append((head, cells))
-    if rows := said["aggregates"]:
+    if rows := results["aggregates"]:
         head = [
             "tasks",
             *_METHOD,
@@ -216,7 +216,7 @@ def tables(said: dict[str, Any]) -> list[Table]:
             scores = [_estimate(row[kind], min(row["seeds"]), _percent, "iqm") or "–" for kind in SCALES]
             cells.append([str(len(row["tasks"])), *_method(row), _seeds(row["seeds"]), *scores])
         found.append((head, cells))
-    if rows := said.get("comparisons"):
+    if rows := results.get("comparisons"):
         cells = []
         for row in rows:
             value = {"mean": row["probability_of_improvement"], "mean_ci": row["ci"]}

@@ -1,7 +1,7 @@
 """Runs as data: read their folders, pool seeds into experiments.
 
 Runs that differ in nothing but seeds are one experiment. Others are told apart by what they differ in; nothing else
-is averaged. Reads what `runs` writes and needs no checkpoints, so that folders of any version will do.
+is averaged. Reads what `training` writes and needs no checkpoints, so that folders of any version will do.
 """
 
 import dataclasses
@@ -56,7 +56,7 @@ class StoredRun:
 
     @cached_property
     def summary(self) -> dict[str, Any]:
-        """Empty for an unfinished run; "evaluation" is by seed what `evaluation.summarize` said at the end."""
+        """Empty for an unfinished run; "evaluation" is by seed what `evaluation.summarize` returned at the end."""
         path = self.folder / "summary.json"
         summary = read_json(path, SUMMARY) if path.exists() else {}
         if summary and len(summary["evaluation"]) != len(self.seeds):
@@ -160,7 +160,7 @@ class Experiment:
 
     @property
     def name(self) -> str:
-        """In words, for messages."""
+        """For messages."""
         return f"{self.task} with {self.method.algorithm}, {self.method.preset} preset"
 
 
@@ -298,7 +298,7 @@ def curve(experiment: Experiment, metric: str, source: str) -> tuple[np.ndarray,
             raise UsageError(f"{run.folder}/{name}.jsonl has a row that does not fit: {error}.") from None
     common = sorted(set.intersection(*map(set, seeds.values())))
     if not common:
-        raise UsageError(f"There is nothing to plot of {folders}: no {source} that all seeds have come to.")
+        raise UsageError(f"There is nothing to plot of {folders}: no {source} that all seeds have reached.")
     steps, values = np.array(common), np.array([[mine[at] for at in common] for mine in seeds.values()])
     if source == "evaluation" or len(common) <= POINTS:
         return steps, values

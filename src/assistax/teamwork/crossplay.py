@@ -1,7 +1,7 @@
 """Cross-play (the paper's appendix "Crossplay"): everybody's robot beside everybody's person.
 
 Who trains together agrees on ways that nobody else knows of. What is left of the return when the robot of one team
-meets the person of another tells how much of it was agreement.
+meets the person of another shows how much of it was agreement.
 """
 
 import dataclasses

@@ -1,7 +1,7 @@
 """Pytrees in safetensors files: written whole or not at all, refused when damaged or when they do not fit.
 
-Beside the arrays a file holds "about" (JSON) and "sha256", by name what the bytes, shape and dtype of each array and
-the bytes of "about" (under "") must come to. Files of earlier versions lack it, and are read without.
+Beside the arrays a file holds "about" (JSON) and "sha256", by name the hash of the bytes, shape and dtype of each array
+and, under "", of the bytes of "about". Files of earlier versions lack it, and are read without.
 """
 
 import hashlib
@@ -29,7 +29,7 @@ class Damaged(UsageError):
 
     def __init__(self, path: Path, what: str):
         older = [p for p in path.parent.glob("step_*.safetensors") if path.stem.startswith("step_") and p < path]
-        advice = f"Remove it to go on from {max(older).name}" if older else "Restore it from a copy"
+        advice = f"Remove it to continue from {max(older).name}" if older else "Restore it from a copy"
         super().__init__(f"{path} is damaged: {what}. {advice}.")
 
 
@@ -101,7 +101,7 @@ def _opened(path: Path):
 
 
 def _checksums(path: Path, file) -> dict[str, str]:
-    """By name what the arrays must come to, {} in files of earlier versions; names and "about" are checked here."""
+    """By name the hashes that the arrays must have, {} in files of earlier versions; checks names and "about" here."""
     header = file.metadata() or {}
     if header.get("format") != FORMAT:
         raise UsageError(f"{path} is not an Assistax checkpoint (format {header.get('format')!r}).")

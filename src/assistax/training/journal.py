@@ -1,7 +1,7 @@
 """metrics.jsonl and evaluations.jsonl: what a training writes down as it goes, and what of it is there.
 
 metrics.jsonl         one line per iteration and seed
-evaluations.jsonl     one line per evaluation and seed: what each of its episodes came to
+evaluations.jsonl     one line per evaluation and seed: the result of each of its episodes
 """
 
 import json
@@ -45,7 +45,7 @@ def read(folder: Path, name: str) -> list[dict[str, Any]]:
 
 
 def keep(folder: Path, name: str, steps: int) -> None:
-    """Drop what is after `steps`, and a last line that a crash has torn."""
+    """Drop what is after `steps`, and a last line that a crash has cut short."""
     kept = [row for row in read(folder, name) if row["steps"] <= steps]
     write_atomically(folder / f"{name}.jsonl", "".join(json.dumps(row) + "\n" for row in kept).encode())
 

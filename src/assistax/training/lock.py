@@ -1,7 +1,7 @@
 """One writer at a time for a folder."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -14,8 +14,8 @@ except ImportError:  # not on this system: then nobody is kept out
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Keep others out of a folder; raises UsageError if somebody else is in. A process that dies lets go of it."""
+def locked(folder: Path) -> Generator[None, None, None]:
+    """Keep others out of a folder; raises UsageError if another process has locked it. Locks end with their process."""
     if fcntl is None:
         yield
         return

@@ -1,7 +1,7 @@
 """The frozen partners, who do not learn: scripted policies, or policies that were trained before.
 
 A run keeps its own copy of a trained partner, partners/AGENT.safetensors, whose hash stands in its configuration:
-whatever becomes of the folder or file that the partner came from, the run goes on as it began.
+whatever becomes of the folder or file that the partner came from, the run continues with the same partner.
 """
 
 from collections.abc import Mapping

@@ -82,7 +82,7 @@ _PAPER = {
     "masac": _MASAC,
     "isac": _MASAC,  # not in the paper
 }
-# One row for all tasks and variants of PPO; results/README.md tells what it is worth.
+# One row for all tasks and variants of PPO; results/README.md shows what it is worth.
 _OURS = {
     "learning_rate": 3.34e-4,  # 1e-3, with the entropy it needs, is sooner in scratch only and falls back
     "desired_kl": 0.03,  # as exploration shrinks to 0.1; left to itself the KL goes from 0.02 to 0.7 in 15 M steps

@@ -65,10 +65,10 @@ class Run:
         return run
 
     def write_config(self, steps: int = 0) -> None:
-        """Anew if it has changed, as when --steps prolongs a run.
+        """Write config.json if it has changed, as when --steps prolongs a run.
 
-        The stamp stays that of the beginning; where `steps` later another version of anything goes on, "resumed" says
-        so, and so does a line on stderr.
+        The stamp stays that of the beginning. If the run is continued at `steps` with another version of anything,
+        "resumed" and a line on stderr say so.
         """
         path = self.folder / "config.json"
         before = read_json(path, CONFIG) if path.exists() else {}
@@ -105,7 +105,7 @@ class Run:
         return self._team(self.trainer.policy_params(state), deterministic)
 
     def _team(self, learned: dict[str, Any], deterministic: bool | None) -> Team:
-        """Learners deterministically or not, unless told as in the configuration, beside the frozen partners."""
+        """Learners, deterministic or not (None: as in the configuration), beside the frozen partners."""
         policy = self.trainer.policy(self.config.deterministic if deterministic is None else deterministic)
         return {agent: Player.of(policy, params) for agent, params in learned.items()} | self._frozen
 

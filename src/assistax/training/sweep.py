@@ -7,7 +7,7 @@ ranking.json           the configurations that have been tried, best first
 sweep.png              one panel per hyperparameter; sweep_NAME.png: one, as in the paper's appendix
 
 Configurations are ranked by the area under the learning curve. A trial's curve has a point per iteration: the mean
-reward per step of that iteration times the length of an episode, the return of whole episodes at this pace. Every step
+reward per step of that iteration times the length of an episode, the return of a whole episode at that rate. Every step
 counts, whether its episode has ended or not. The area is the mean of the points. Training that becomes non-finite has
 failed and has no area.
 """
@@ -59,7 +59,7 @@ class Sweep:
         self.folder, self.config, self.search, self.drawn = folder, config, dict(search), list(drawn)
         self.seeds = range(config.seed, config.seed + config.num_seeds)
         inputs = {f"{config.group}.{name}" for name in tunable(config.method)}
-        for name in search:  # a name that does not exist is told as such, not as one that takes choices
+        for name in search:  # so that a name that does not exist is reported as such, not as one that takes choices
             with_settings(config, {name: _value(config, name)})
         if compiled_in := set(intervals(search)) - inputs:
             known = ", ".join(sorted(inputs))
@@ -81,7 +81,7 @@ class Sweep:
             raise UsageError(f"configs must be 1 or more, not {count}.")
         if not search:
             raise UsageError(
-                "Nothing is left to search: --set fixes all that are searched unless told otherwise, if any. "
+                "Nothing is left to search: --set fixes all hyperparameters that are searched by default, if any. "
                 "Name one with --search."
             )
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -105,7 +105,7 @@ class Sweep:
         return cls(folder, config, search, drawn)
 
     def trials(self) -> dict[Trial, dict[str, Any]]:
-        """The lines of trials.jsonl, without one that a crash has torn at the end."""
+        """The lines of trials.jsonl, without a last one that a crash has cut short."""
         path, found = self.folder / "trials.jsonl", {}
         for number, row in enumerate(read_rows(path, TRIAL), 1):
             if not self._belongs(row):
@@ -247,11 +247,14 @@ class Program:
         self.collect, self.improve = self.lanes.jit(trainer.collect), self.lanes.jit(trainer.improve)
 
 
-# -- what trials came to -----------------------------------------------------------------------
+# -- results of trials -------------------------------------------------------------------------
 
 
 def point(log: Mapping[str, Any], episode_length: int) -> list[float]:
-    """Of an iteration's log: the return at its pace, NaN if the simulation broke, episodes ended, successes."""
+    """Of an iteration's log: the return of an episode at that rate of reward, episodes that ended, successes.
+
+    The return is NaN if the simulation broke.
+    """
     episodes = int(log["episodes"])
     reward = math.nan if log["fault"] else float(sum(log["reward"].values()))
     return [episode_length * reward, episodes, episodes * float(log["episode"].get("success", math.nan))]
@@ -263,7 +266,7 @@ def is_sound(points: Sequence[Sequence[float]]) -> bool:
 
 
 def outcome(points: Sequence[Sequence[float]], every: int) -> dict[str, Any]:
-    """What a trial came to, from its points, `every` steps apart."""
+    """The result of a trial, from its points, `every` steps apart."""
     sound = list(itertools.takewhile(lambda one: math.isfinite(one[0]), points))
     curve = [[(k + 1) * every, round(one[0], 3)] for k, one in enumerate(sound)]
     result = {"curve": curve, "auc": None, "final_return": None, "success": None, "failed": len(sound) < len(points)}

@@ -11,7 +11,7 @@ from assistax.learning.networks import ACTIVATIONS
 class PPOConfig:
     central_critic: bool = False  # critics see the global state (MAPPO) instead of the agent's own observation (IPPO)
     recurrent: bool = False  # in actors a GRU of hidden[0] units in place of the first layer
-    share_parameters: bool = False  # one actor and one critic for all learners, told who they are
+    share_parameters: bool = False  # one actor and one critic for all learners, with who plays as an input
     learning_rate: float = 3e-4
     anneal_learning_rate: bool = False  # linearly to zero over the run
     desired_kl: float = 0.0  # of an iteration: actors that move over twice as far slow down, see adapted_rate; 0: none

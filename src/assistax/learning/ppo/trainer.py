@@ -34,7 +34,7 @@ from assistax.pytree import pytree
 
 @pytree
 class TrainState:
-    """Everything a run needs to go on exactly."""
+    """Everything a run needs to continue exactly."""
 
     params: dict[str, Any]  # learner, or "shared" -> {"actor": Network with "log_std", "critic": Network}
     opt_state: Any
@@ -319,8 +319,8 @@ class PPO:
     def _noise_before(self, c, agent, actor, part, mean):
         """The noise [..., n] in the action before, if there is one, to those who would have acted with this `actor`.
 
-        Not the noise of the rollout: who acts otherwise explains the same actions by other noise, and without that
-        the gradient is another's (Korenkevych et al., 2019).
+        Not the noise of the rollout: an actor that acts otherwise explains the same actions by other noise, and without
+        that the gradient is another's (Korenkevych et al., 2019).
         """
 
         def noise(action, mean):
