@@ -4,7 +4,7 @@ Paper: task "Arm Assist"; reward components r_t, r_t' and r_R. The wrist target 
 forearm, as in the paper's figure; d_H is its distance to the waist target.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi
 from typing import ClassVar
 
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import mujoco
 
 from assistax.pytree import pytree
-from assistax.scenes import RIGHT_ARM, SceneConfig, geometry
+from assistax.scenes import RIGHT_ARM, SceneConfig, geometry, limited
 from assistax.tasks.base import Sensors, tool_velocity
 from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import norm, reach, rotation, waist
@@ -127,7 +127,7 @@ SPECS = (
         "arm_assist",
         1,
         ArmAssist,
-        replace(_SCENE, worked_on=("forearm",), harm=True),
+        limited(_SCENE, "forearm"),
         ArmAssistConfig(settled_speed=0.1, carrying_speed=0.5),
         expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
         bound=11280,

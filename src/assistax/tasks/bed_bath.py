@@ -3,7 +3,7 @@
 Paper: task "Bed Bath"; reward components r_t and r_w.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi
 from typing import ClassVar
 
@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from assistax.pytree import pytree
-from assistax.scenes import BED_VIEW, RIGHT_ARM, SceneConfig, geometry
+from assistax.scenes import BED_VIEW, RIGHT_ARM, SceneConfig, geometry, limited
 from assistax.tasks.base import Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import norm, reach
@@ -154,7 +154,7 @@ SPECS = (
         "bed_bath",
         1,
         BedBath,
-        replace(_SCENE, worked_on=SEGMENTS, harm=True),
+        limited(_SCENE, *SEGMENTS),
         BedBathConfig(touch_force=0.5, most_force=15.0, speed=(0.02, 0.4), wash_seconds=0.08),
         expert="assistax.policies.experts.bed_bath:BedBathExpert",
         bound=1156,

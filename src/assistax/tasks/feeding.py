@@ -4,7 +4,7 @@ Paper: task "Feeding"; reward components r_te, r_o, r_v and r_f. The spoon's up 
 frame, its tip is +z.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import exp, pi
 from typing import ClassVar
 
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import mujoco
 
 from assistax.pytree import pytree
-from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry
+from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry, limited
 from assistax.tasks.base import Sensors, tool_velocity
 from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import UP, approach, boltzmann, envelope, norm, orientation
@@ -157,7 +157,7 @@ SPECS = (
         "feeding",
         1,
         Feeding,
-        replace(_SCENE, worked_on=("head",), harm=True),
+        limited(_SCENE, "head"),
         FeedingConfig(
             mouth_angle=pi / 3,
             mouth_speed=0.1,

@@ -3,7 +3,7 @@
 Paper: task "Scratch"; reward components r_t and r_s.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi
 from typing import ClassVar
 
@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from assistax.pytree import pytree
-from assistax.scenes import RIGHT_ARM, SceneConfig, geometry
+from assistax.scenes import RIGHT_ARM, SceneConfig, geometry, limited
 from assistax.tasks.base import Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import boltzmann, norm, reach
@@ -152,7 +152,7 @@ SPECS = (
         "scratch",
         1,
         Scratch,
-        replace(_SCENE, worked_on=SEGMENTS, harm=True),
+        limited(_SCENE, *SEGMENTS),
         ScratchConfig(angle=pi, scratch_distance=0.04),
         expert="assistax.policies.experts.scratch:ScratchExpert",
         bound=1000,

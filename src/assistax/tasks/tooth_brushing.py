@@ -4,7 +4,7 @@ Paper: task "Tooth Brushing"; reward components r_te, r_a and r_b. The bristles 
 tool frame, the handle along −z.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import pi
 from typing import ClassVar
 
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import mujoco
 
 from assistax.pytree import pytree
-from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry
+from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry, limited
 from assistax.tasks.base import Sensors, tool_velocity
 from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import alignment, boltzmann, envelope, norm
@@ -122,7 +122,7 @@ SPECS = (
         "tooth_brushing",
         1,
         ToothBrushing,
-        replace(_SCENE, worked_on=("head",), harm=True),
+        limited(_SCENE, "head"),
         ToothBrushingConfig(brush_angle=pi / 3),
         expert="assistax.policies.experts.tooth_brushing:ToothBrushingExpert",
         bound=3140,
