@@ -57,8 +57,9 @@ TOUCHED = (
 HUMAN_TORQUE = 10.0  # N m at action 1
 HUMAN_SPEED = {**dict.fromkeys(RIGHT_ARM, 4.0), **dict.fromkeys(NECK, 3.0)}  # rad/s
 BRAKE_FROM = 0.85  # of a joint's speed limit, from where its brakes grip
-BRAKE_GAIN = 14.0  # s/rad, times a motor's torque
-BRAKE_TORQUE = 12.0  # times the motor's torque, a brake's most: the arm's other joints pull, too
+# Of brakes: gain in s/rad and largest torque, both times the motor's torque, as others pull at the joint, too.
+ROBOT_BRAKE = (14.0, 12.0)
+HUMAN_BRAKE = (4.0, 4.0)  # limbs are light: stiffer, and they bounce
 
 
 @dataclass(frozen=True)
@@ -289,15 +290,16 @@ def _limit_speeds(spec, config):
     arm = config.arm
     if not arm.speed:
         raise UsageError(f"The robot {arm.name} has no speeds to keep to; give its RobotSpec some.")
-    robot = zip(arm.joints, arm.torque, arm.speed, strict=True)
-    human = ((name, HUMAN_TORQUE, HUMAN_SPEED[name]) for name in config.human_driven)
-    for name, torque, speed in (*robot, *human):
+    limits = zip(arm.joints, arm.torque, arm.speed, strict=True)
+    robot = [(name, torque, speed, ROBOT_BRAKE) for name, torque, speed in limits]
+    human = [(name, HUMAN_TORQUE, HUMAN_SPEED[name], HUMAN_BRAKE) for name in config.human_driven]
+    for name, torque, speed, (gain, most) in robot + human:
         for end, sign in (("up", 1.0), ("down", -1.0)):
             brake = spec.add_actuator(name=f"brake_{end}_{name}", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             brake.gainprm[0], brake.biastype = 0.0, mujoco.mjtBias.mjBIAS_AFFINE
-            brake.biasprm[:3] = sign * BRAKE_FROM * speed * BRAKE_GAIN * torque, 0.0, -BRAKE_GAIN * torque
-            brake.forcelimited, most = True, BRAKE_TORQUE * torque
-            brake.forcerange = (-most, 0.0) if sign > 0 else (0.0, most)
+            brake.biasprm[:3] = sign * BRAKE_FROM * speed * gain * torque, 0.0, -gain * torque
+            brake.forcelimited = True
+            brake.forcerange = (-most * torque, 0.0) if sign > 0 else (0.0, most * torque)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 
 
