@@ -17,6 +17,7 @@ from assistax.cli.play import play
 from assistax.cli.plot import plot
 from assistax.cli.render import render
 from assistax.cli.reproduce import reproduce
+from assistax.cli.settings import asks_for_help, print_with_help, settings
 from assistax.cli.sweep import sweep
 from assistax.cli.table import table
 from assistax.cli.tasks import tasks
@@ -26,7 +27,7 @@ from assistax.errors import AssistaxError
 DESCRIPTION = "A robot arm and a person, both with policies of their own: train, evaluate, watch."
 COMMANDS = (
     *(train, sweep, play, evaluate, crossplay, render, table, plot),
-    *(export, reproduce, tasks, humans, doctor, bench),
+    *(export, reproduce, tasks, settings, humans, doctor, bench),
 )
 
 
@@ -36,6 +37,20 @@ def overview() -> str:
     return "\n".join(
         ["usage: assistax COMMAND ...", "", DESCRIPTION, "", *lines, "", "assistax COMMAND --help explains."]
     )
+
+
+def _run(commands: dict[str, Any]) -> None:
+    try:
+        tyro.extras.subcommand_cli_from_dict(
+            commands,
+            prog="assistax",
+            description=DESCRIPTION,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
+    except SystemExit as end:
+        if not end.code and asks_for_help(sys.argv[1:]):
+            print_with_help(sys.argv[1])
+        raise
 
 
 def main() -> None:
@@ -53,12 +68,7 @@ def main() -> None:
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "assistax" / "jax"
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
     try:
-        tyro.extras.subcommand_cli_from_dict(
-            commands,
-            prog="assistax",
-            description=DESCRIPTION,
-            config=(tyro.conf.FlagCreatePairsOff,),
-        )
+        _run(commands)
     except AssistaxError as error:
         print(f"assistax: {error}", file=sys.stderr)
         sys.exit(2)
