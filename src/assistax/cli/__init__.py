@@ -17,7 +17,7 @@ from assistax.cli.play import play
 from assistax.cli.plot import plot
 from assistax.cli.render import render
 from assistax.cli.reproduce import reproduce
-from assistax.cli.settings import asks_for_help, print_with_help, settings
+from assistax.cli.settings import settings
 from assistax.cli.sweep import sweep
 from assistax.cli.table import table
 from assistax.cli.tasks import tasks
@@ -39,20 +39,6 @@ def overview() -> str:
     )
 
 
-def _run(commands: dict[str, Any]) -> None:
-    try:
-        tyro.extras.subcommand_cli_from_dict(
-            commands,
-            prog="assistax",
-            description=DESCRIPTION,
-            config=(tyro.conf.FlagCreatePairsOff,),
-        )
-    except SystemExit as end:
-        if not end.code and asks_for_help(sys.argv[1:]):
-            print_with_help(sys.argv[1])
-        raise
-
-
 def main() -> None:
     """Entry point of the `assistax` command."""
     commands: dict[str, Any] = {command.__name__: command for command in COMMANDS}
@@ -68,7 +54,12 @@ def main() -> None:
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "assistax" / "jax"
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
     try:
-        _run(commands)
+        tyro.extras.subcommand_cli_from_dict(
+            commands,
+            prog="assistax",
+            description=DESCRIPTION,
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
     except AssistaxError as error:
         print(f"assistax: {error}", file=sys.stderr)
         sys.exit(2)

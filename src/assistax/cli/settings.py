@@ -1,4 +1,4 @@
-"""`assistax settings`, and what `assistax train --help` adds: every setting with its default and meaning."""
+"""`assistax settings`."""
 
 import ast
 import dataclasses
@@ -13,7 +13,6 @@ import tyro
 
 from assistax.cli.common import Json, Name, print_json
 
-WITH_SETTINGS = ("train", "sweep")  # commands whose --help lists them
 Rows = dict[str, tuple[Any, str]]
 """By full name ("ppo.gamma") the default and the meaning."""
 
@@ -69,18 +68,6 @@ def as_text(rows: Rows) -> str:
         shown = default if isinstance(default, str) else str(default)
         lines += textwrap.wrap(f"{name}={shown}  {meaning}", width, subsequent_indent=" " * 6, break_on_hyphens=False)
     return "\n".join(lines)
-
-
-def print_with_help(command: str) -> None:
-    """After the help of a command that takes settings: all of them."""
-    if command in WITH_SETTINGS:
-        print("\nWhat --set can change, with defaults; `assistax settings TASK` adds those of the task:\n")
-        print(as_text(listing()))
-
-
-def asks_for_help(words: list[str]) -> bool:
-    """Whether a command line does."""
-    return len(words) > 1 and not {"-h", "--help"}.isdisjoint(words[1:])
 
 
 def meanings(config_type: type) -> dict[str, str]:
