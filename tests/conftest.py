@@ -38,7 +38,7 @@ def pytest_collection_modifyitems(items):
 @pytest.fixture(scope="session")
 def scratch():
     """The scratch environment on the C engine, with episodes of 20 steps."""
-    return assistax.make("scratch", engine="mujoco", episode_length=20)
+    return assistax.make("scratch-v0", engine="mujoco", episode_length=20)
 
 
 @pytest.fixture(scope="module")

@@ -94,15 +94,15 @@ def test_several_seeds_are_the_runs_of_each_seed_alone(run, tmp_path):
 def test_an_interrupted_run_goes_on(tmp_path):
     folder = tmp_path / "run"
     command = [sys.executable, "-m", "assistax", "train", "scratch", "--steps", "10000000", "--out", folder, *SMALL]
-    process = subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    running = subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     metrics = folder / "metrics.jsonl"
     deadline = time.monotonic() + 120
     while not (metrics.exists() and metrics.stat().st_size > 3000):
-        assert process.poll() is None and time.monotonic() < deadline
+        assert running.poll() is None and time.monotonic() < deadline
         time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130 and f"--resume {folder}" in errors
+    running.send_signal(signal.SIGINT)
+    _, errors = running.communicate(timeout=60)
+    assert running.returncode == 130 and f"--resume {folder}" in errors
     done = int(checkpoint(folder).stem.split("_")[1])
     process("train", "--resume", folder, "--steps", done + 128)
     rows = [json.loads(line) for line in metrics.read_text().splitlines()]
@@ -128,7 +128,7 @@ def test_an_interrupted_run_goes_on(tmp_path):
         (["evaluate", "nowhere"], "neither a run folder, nor a team file, nor a task"),
         (["evaluate", "scratch", "--policy", "stil"], "Did you mean 'still'"),
         (["render", "scratch", "--policy", "still", "--out", "no/such/a.mp4"], "does not exist"),
-        (["render", "scratch", "--policy", "still", "--out", "a.gif"], "Can write .mp4, .webp, .png"),
+        (["render", "scratch", "--policy", "still", "--out", "a.bmp"], "Can write .mp4, .webp, .gif, .png"),
         (["bench", "scratch", "--num-envs", "0"], "num_envs must be 1 or more"),
         (["crossplay", "still", "expert"], "scripted teams alone"),
         (["crossplay", "scratch"], "two teams or more"),

@@ -11,10 +11,9 @@ from games import Fines, Meeting
 from assistax.errors import UsageError
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.learning.ppo.constraint import combined, excess, init_constraint, updated
-from assistax.policies import Still
+from assistax.policies import Player, Still
 from assistax.training.checkpoint import load_checkpoint, save_checkpoint
 from assistax.training.configuration import configure
-from assistax.training.partners import Partner
 
 QUICK = PPOConfig(learning_rate=3e-3, entropy_coef=0.0, hidden=(16,), num_steps=10, update_epochs=4, num_minibatches=2)
 QUICK = replace(QUICK, initial_log_std=-2.0, gamma=0.9)
@@ -102,7 +101,7 @@ def test_a_limit_never_reached_changes_nothing():
 def test_every_variant_keeps_its_limit(variant):
     """The recurrent robot plays with a partner that stands still and costs nothing: it may play 0.4."""
     alone = "recurrent" in variant
-    partners = {"human": Partner(Still(1))} if alone else {}
+    partners = {"human": Player(Still(1))} if alone else {}
     config = replace(QUICK, learning_rate=1e-3, cost_limit=1.0, **dict.fromkeys(variant, True))
     states, stats, _ = trained(config, (2.0 if alone else 7.5,), 240, partners)
     assert all("cost_critic" in networks for networks in states.params.values())

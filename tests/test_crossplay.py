@@ -95,7 +95,7 @@ def test_what_cannot_meet_is_one_line(scratch):
         other = assistax.make(**{"task": "scratch", "engine": "mujoco", "episode_length": 20} | settings)
         with pytest.raises(UsageError, match=words):
             cross_play([still, entrant("expert", other)])
-    wishing = assistax.make("scratch", engine="mujoco", episode_length=20, human={"preference": "sweep"})
+    wishing = assistax.make("scratch-v0", engine="mujoco", episode_length=20, human={"preference": "sweep"})
     learned = Entrant("learned", scratch, scratch_team(scratch))
     with pytest.raises(UsageError, match="The robot of learned observes"):
         cross_play([learned, entrant("still", wishing)])

@@ -244,13 +244,13 @@ def test_nested_vmap_equals_flat(scratch):
 
 
 def test_actions_are_torques_as_documented():
-    env = assistax.make("scratch", engine="mujoco", torque_scale=0.3)
+    env = assistax.make("scratch-v0", engine="mujoco", torque_scale=0.3)
     ctrl = env._ctrl({"robot": jnp.full(7, 5.0), "human": jnp.array([-1.0, 0.0, 0.5])})
     np.testing.assert_allclose(ctrl, [-1, 0, 0.5, *0.3 * np.array([87, 87, 87, 87, 12, 12, 12])], rtol=1e-6)
 
 
 def test_position_control_holds_the_middle_of_the_range():
-    env = assistax.make("scratch", engine="mujoco", control="position")
+    env = assistax.make("scratch-v0", engine="mujoco", control="position")
     ctrl = env._ctrl({"robot": jnp.zeros(7), "human": jnp.zeros(3)})
     low, high = env.model.jnt_range[[env.model.joint(j).id for j in scenes.PANDA.joints]].T
     np.testing.assert_allclose(ctrl[3:], (low + high) / 2, atol=1e-5)
@@ -289,7 +289,7 @@ def _nothing_in_the_way(data):
 
 def test_a_still_person_stays_at_rest(scratch):
     """The scene test checks MuJoCo alone; this checks what the environment makes of it."""
-    env = assistax.make("scratch", engine="mujoco", reset_noise=0.0)
+    env = assistax.make("scratch-v0", engine="mujoco", reset_noise=0.0)
     _, state = env.reset(jax.random.key(0))
     still = {agent: jnp.zeros(n) for agent, n in env.action_sizes.items()}
     start = env.sensors(state.physics)
@@ -306,10 +306,10 @@ def test_a_still_person_stays_at_rest(scratch):
     ("call", "words"),
     [
         (lambda: assistax.make("scratc"), "Did you mean 'scratch'"),
-        (lambda: assistax.make("scratch", engine="mujuco"), "Did you mean 'mujoco'"),
-        (lambda: assistax.make("scratch", torque_scal=1.0), "Did you mean 'torque_scale'"),
-        (lambda: assistax.make("scratch", episode_length=0), "env.episode_length must be 1 or more"),
-        (lambda: assistax.make("scratch", torque_scale="big"), "must be a number"),
+        (lambda: assistax.make("scratch-v0", engine="mujuco"), "Did you mean 'mujoco'"),
+        (lambda: assistax.make("scratch-v0", torque_scal=1.0), "Did you mean 'torque_scale'"),
+        (lambda: assistax.make("scratch-v0", episode_length=0), "env.episode_length must be 1 or more"),
+        (lambda: assistax.make("scratch-v0", torque_scale="big"), "must be a number"),
     ],
 )
 def test_bad_settings_are_refused_in_one_line(call, words):

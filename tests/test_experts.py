@@ -23,7 +23,7 @@ NAMES = ["scratch-v0", "bed_bath-v0", "arm_assist-v0", "feeding-v0", "tooth_brus
 
 @pytest.fixture(scope="module")
 def envs():
-    return {name: assistax.make(name, engine="mujoco") for name in NAMES}
+    return {name: assistax.make(f"{name}-v0", engine="mujoco") for name in NAMES}
 
 
 @pytest.mark.parametrize("site", ["tool_tip", "mouth", "wrist_target"])
@@ -112,7 +112,7 @@ def test_offering_brings_the_person_nearer_than_withdrawing(envs, name):
 
 
 def test_every_scripted_team_plays(envs):
-    env = assistax.make("feeding", engine="mujoco", episode_length=5)
+    env = assistax.make("feeding-v0", engine="mujoco", episode_length=5)
     assert set(SCRIPTED) == {"still", "random", "expert", "considerate", "offer", "withdraw"}
     for name in ("random", "offer"):
         assert np.isfinite(play(env, scripted_team(name, env), 2)["metrics"]["return"]).all()
@@ -121,14 +121,14 @@ def test_every_scripted_team_plays(envs):
 
 
 def test_the_expert_asks_for_torque_control():
-    env = assistax.make("scratch", engine="mujoco", control="position")
+    env = assistax.make("scratch-v0", engine="mujoco", control="position")
     with pytest.raises(UsageError, match="torque"):
         expert(env)
 
 
 @pytest.mark.parametrize("name", ["scratch-v0", "feeding-v0"])
 def test_the_considerate_expert_is_liked_more(name):
-    env = assistax.make(name, engine="mujoco", human={"preference": "speed=0.03:0.05 force=1:1.5"})
+    env = assistax.make(f"{name}-v0", engine="mujoco", human={"preference": "speed=0.03:0.05 force=1:1.5"})
     plain, considerate = (
         play(env, scripted_team(policy, env), episodes=3)["metrics"] for policy in ("expert", "considerate")
     )

@@ -149,7 +149,7 @@ def test_a_list_of_people_is_drawn_from_evenly_and_survives_its_file(form, tmp_p
 
 def test_people_are_drawn_alike_on_every_engine():
     human = {"disability": "standard", "preference": "sweep"}
-    envs = [assistax.make("scratch", engine, human=human) for engine in ("mujoco", "warp", "mjx")]
+    envs = [assistax.make("scratch-v0", engine, human=human) for engine in ("mujoco", "warp", "mjx")]
     keys = jax.random.split(jax.random.key(3), 8)
     drawn = [jax.jit(jax.vmap(lambda key, env=env: env._draw(key).person))(keys) for env in envs]
     for other in drawn[1:]:
@@ -159,7 +159,7 @@ def test_people_are_drawn_alike_on_every_engine():
 
 def test_people_travel_with_the_state_and_change_at_a_reset(tmp_path):
     """Two seeds of six environments, through a checkpoint, past a reset of every environment."""
-    env = assistax.make("scratch", engine="mujoco", episode_length=3, human={"people": "paper630"})
+    env = assistax.make("scratch-v0", engine="mujoco", episode_length=3, human={"people": "paper630"})
     keys = jax.random.split(jax.random.key(0), (2, 6))
     state = jax.jit(jax.vmap(jax.vmap(env.reset)))(keys)[1]
     assert len(np.unique(state.person.index)) > 8
@@ -264,7 +264,7 @@ def test_every_part_of_the_standard_settings_shows(moves):
 @pytest.mark.parametrize("task", NAMES)
 def test_a_reset_starts_within_narrow_limits(task):
     """Of the least motion that can be asked for, and with far more noise than the limits leave room for."""
-    env = assistax.make(task, engine="mujoco", reset_noise=0.5, human={"disability": "motion=0.05"})
+    env = assistax.make(f"{task}-v0", engine="mujoco", reset_noise=0.5, human={"disability": "motion=0.05"})
     start = jax.jit(jax.vmap(env._draw))(jax.random.split(jax.random.key(0), 64))
     limits, qpos = np.asarray(start.overrides["jnt_range"]), np.asarray(start.qpos)
     assert (limits[..., 0] <= qpos).all() and (qpos <= limits[..., 1]).all()
@@ -279,7 +279,7 @@ def test_a_reset_starts_within_narrow_limits(task):
     ("both", 41, 45, 59), ("human", 34, 45, 59), ("none", 34, 38, 52),
 ])  # fmt: skip
 def test_who_sees_the_preference(visibility, robot, human, everyone):
-    env = assistax.make("scratch", engine="mujoco", human={"preference": "default", "visibility": visibility})
+    env = assistax.make("scratch-v0", engine="mujoco", human={"preference": "default", "visibility": visibility})
     assert env.observation_sizes == {"robot": robot, "human": human} and env.global_size == everyone
     obs, state = env.reset(jax.random.key(0))
     if visibility != "none":
@@ -290,7 +290,7 @@ def test_who_sees_the_preference(visibility, robot, human, everyone):
 
 
 def test_task_and_preference_returns_are_reported_apart():
-    env = assistax.make("scratch", engine="mujoco", human={"preference": "default"})
+    env = assistax.make("scratch-v0", engine="mujoco", human={"preference": "default"})
     _, state = env.reset(jax.random.key(0))
     step, totals = jax.jit(env.step_env), {}
     for i in range(5):
@@ -309,7 +309,7 @@ TOO_WEAK = dataclasses.replace(population.profiles().disability, strength=np.zer
 
 
 def test_evaluations_show_both_returns():
-    env = assistax.make("scratch", engine="mujoco", episode_length=5, human={"people": "paper630"})
+    env = assistax.make("scratch-v0", engine="mujoco", episode_length=5, human={"people": "paper630"})
     report = evaluate(env, scripted_team("random", env), 4)
     apart = [report[name]["mean"] for name in ("task_return", "preference_return")]
     np.testing.assert_allclose(sum(apart), report["mean_return"], rtol=1e-5)
@@ -352,9 +352,9 @@ def test_impossible_people_are_refused_in_one_line(call, words):
     ("preference=force=1", "force must be a range LEAST:MOST, not '1'"),
     ("preference=weights=0,0,-0.1", "must not all be zero"),
     ("preference=speeed=1:2", "Did you mean 'speed'"),
-    ("people=nobody.json", "Cannot read people from nobody.json"),
+    ("people=nobody.json", "Cannot read nobody.json: No such file"),
     ("people=folk.json", "folk.json, person 1: A disability's strength must be in [0.01, 1], not 7"),
-    ("people=torn.json", "torn.json is not a JSON file"),
+    ("people=torn.json", "Cannot read torn.json: it is not JSON"),
     ("people=one.json", "one.json must hold a list"),
 ])  # fmt: skip
 def test_the_command_line_refuses_impossible_people_before_it_compiles(setting, words, tmp_path, monkeypatch, capsys):

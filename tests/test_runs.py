@@ -178,7 +178,7 @@ from pathlib import Path
 import assistax.training.loop as loop
 
 loop.CHECKPOINT_SECONDS = 0.1
-loop.train(Run.open(Path(sys.argv[1])))
+loop.train(loop.Run.open(Path(sys.argv[1])))
 """
 
 

@@ -196,8 +196,8 @@ def test_soft_targets_by_hand(joint):
     bonus = {"robot": 0.1 * 2 * entropy, "human": 0.2 * entropy}
     bonus["team"] = bonus["robot"] + bonus["human"]
     for name, found in targets.items():
-        np.testing.assert_array_equal(found[::2], 1.0)  # nothing follows
-        np.testing.assert_allclose(found[1::2].mean(), 1.0 + 0.5 * (3.0 + bonus[name]), atol=0.005)
+        np.testing.assert_array_equal(found[::2], rewards[name])  # nothing follows
+        np.testing.assert_allclose(found[1::2].mean(), rewards[name] + 0.5 * (3.0 + bonus[name]), atol=0.005)
 
 
 # -- what is replayed ------------------------------------------------------------------------------

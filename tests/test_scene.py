@@ -88,12 +88,16 @@ def touch(model):
 def test_layout(scene):
     config, model = scene
     assert model.nq == model.nv == 16
-    assert [model.actuator(i).name for i in range(model.nu)] == [*config.human_driven, *scenes.PANDA.joints]
+    motors = [*config.human_driven, *scenes.PANDA.joints]
+    actuators = [model.actuator(i).name for i in range(model.nu)]
+    assert actuators[: len(motors)] == motors
+    assert len(actuators) == len(motors) * (3 if config.speed_limits else 1)
     names = [model.sensor(i).name for i in range(model.nsensor)]
     driven = [*config.human_driven, *scenes.PANDA.joints]
     assert names[: len(driven)] == [f"torque_{j}" for j in driven]
     assert names[len(driven) :][:4] == ["tool_pos", "tool_quat", "tool_vel", "tool_angvel"]
-    assert names[-2:] == ["tool_force", "robot_force"]
+    forces = [name for name in names if name.startswith(("tool_force", "robot_force"))]
+    assert names[-len(forces) :] == forces and forces[:2] == ["tool_force", "robot_force"]
     data = start(model)
     rng = np.random.default_rng(0)
     data.qpos[:], data.qvel[:] = rng.normal(size=(2, 16))

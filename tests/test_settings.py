@@ -86,9 +86,9 @@ def test_a_film_is_as_fast_as_what_it_shows(tmp_path, monkeypatch):
     for suffix in (".webp", ".gif"):
         shown.clear()
         film("scratch", steps, steps, 0.008, tmp_path / f"a{suffix}")
-        with Image.open(tmp_path / f"a{suffix}") as written:
-            assert written.n_frames == len(shown) == 80
-            durations.append(written.info.get("duration"))
+        with Image.open(tmp_path / f"a{suffix}") as picture:
+            assert picture.n_frames == len(shown) == 80
+            durations.append(picture.info.get("duration"))
         np.testing.assert_allclose(np.array(shown) * 0.008, np.arange(80) * 0.1, atol=0.0041)
     assert durations[1] == 100
 

@@ -91,7 +91,7 @@ def test_the_papers_tables_lie_within_what_is_searched():
         ({"ppo.gamma": ""}, "ppo.gamma has nothing to choose from"),
         ({"ppo.gamma": "0.9:x"}, "ppo.gamma takes LOW:HIGH"),
         ({"ppo.gamma": "0.9:0.8"}, "ppo.gamma takes LOW:HIGH"),
-        ({"ppo.gama": "0.8:0.9"}, "ppo.gama takes choices like A,B,C; an interval is possible for ppo.clip_eps"),
+        ({"ppo.gama": "0.8:0.9"}, "Did you mean 'ppo.gamma'"),
         ({"ppo.num_steps": "8:16"}, "ppo.num_steps takes choices"),
         ({"ppo.gama": "0.8,0.9"}, "Did you mean 'ppo.gamma'"),
         ({"ppo.gamma": "0.9:2"}, "ppo.gamma must be in [0, 1]"),
@@ -126,7 +126,7 @@ def alone(config, seeds):
     def iteration(state):
         state, batch = trainer.collect(state)
         if config.group == "sac":  # the newest rows of the replay
-            rewards = jax.lax.dynamic_slice_in_dim(state.replay.rows["reward"]["robot"], state.iteration * 80, 80)
+            rewards = jax.lax.dynamic_slice_in_dim(state.replay.rows["reward"]["team"], state.iteration * 80, 80)
         else:
             rewards = batch["rewards"]["robot"]
         return trainer.improve(state, batch)[0], rewards.mean()
@@ -159,7 +159,7 @@ def check(sweep, ranking):
     curves = {(row["config"], row["seed"]): np.array(row["curve"])[:, 1] for row in rows}
     assert set(curves) == {(0, 0), (0, 1), (1, 0), (1, 1)}
     # Seeds and settings change far more than is tolerated below.
-    assert all(np.abs(curves[a] - curves[b]).max() > 0.1 for a in curves for b in curves if a != b)
+    assert all(np.abs(curves[a] - curves[b]).max() > 0.02 for a in curves for b in curves if a != b)
     return curves
 
 
@@ -273,7 +273,7 @@ def test_lines_that_do_not_belong_are_refused_and_kept(begun, change, words):
             lambda stored: stored["config"]["stamp"]["versions"].update(assistax="0.0.9"),
             "begun with assistax 0.0.9, now",
         ),
-        (lambda stored: stored["config"]["stamp"].update(commit="elsewhere"), "begun with commit elsewhere, now"),
+        (lambda stored: stored["config"]["stamp"].update(source="elsewhere"), "begun with source elsewhere, now"),
         (lambda stored: stored.pop("drawn"), "sweep.json: it has no drawn"),
         (lambda stored: stored["config"].pop("stamp"), "sweep.json: config has no stamp"),
     ],

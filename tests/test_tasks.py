@@ -36,7 +36,7 @@ NEW = [name for name in SIZES if name != "scratch"]  # test_env.py has the same 
 
 @pytest.fixture(scope="module")
 def envs():
-    return {name: assistax.make(name, engine="mujoco", episode_length=20) for name in SIZES}
+    return {name: assistax.make(f"{name}-v0", engine="mujoco", episode_length=20) for name in SIZES}
 
 
 def rest(model):

@@ -69,8 +69,8 @@ class EnvState:
     tool_force: jax.Array  # N, of the tool on the person in the step before
     t: jax.Array  # int32, control steps since the reset
     seed: jax.Array  # uint32 [2], what the next automatic reset draws with, beside the step's key
+    harm: harm.HarmState | None  # to the person's body, where the scene measures it
     episode: Sums  # so far, see episode.py
-    harm: Any = ()  # a HarmState, where the scene has its sensors
 
 
 class _Start(NamedTuple):
@@ -122,11 +122,12 @@ class Env:
         movable = np.zeros(model.nq)
         movable[scenes.qpos_ids(model, (*scenes.HUMAN_JOINTS, *self.robot.joints))] = 1.0
         self._start, self._noise = jnp.asarray(key.qpos), jnp.asarray(config.reset_noise * movable)
-        limits = jnp.asarray(model.actuator_ctrlrange[len(driven) :])
+        motors = slice(len(driven), len(driven) + len(self.robot.joints))
+        limits = jnp.asarray(model.actuator_ctrlrange[motors])
+        self._brakes = jnp.zeros(model.nu - motors.stop)  # they take no control
         self._ctrl_mid, self._ctrl_half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
         if config.control == "torque":
             self._ctrl_half *= config.torque_scale
-        self._harm = scene.harm
         self._books = Bookkeeping(self.dt, config.force_limit, config.human.preferring)
         self._draw_where = whole_batch(self._draw_batch)
         self._layouts = self._measure_layouts()
@@ -163,8 +164,8 @@ class Env:
           truncated: by agent and "__all__"; the time limit, bootstrap through it.
           info: "final_observation" by agent and "final_global_observation", true also where a reset
             followed; "reward_terms" by name; "metrics" of the episode up to and with this step;
-            "robot_force" on the person in N; "fault" of the engine; where the scene measures harm, "cost" of this
-            step, >= 0, see `human.harm.cost`.
+            "robot_force" on the person in N; "cost", 0 or more, apart from the reward: see human.harm.cost, and in
+            version 0 the force as a fraction of the limit, beyond 1; "fault" of the engine.
         """
         obs, end, rewards, terminated, truncated, info = self.step_env(key, state, actions)
         done = terminated["__all__"] | truncated["__all__"]
@@ -186,29 +187,32 @@ class Env:
         s = self.sensors(physics)
         task = self.task.advance(s, state.task)
         terms = self.task.reward_terms(s, task)
-        preferred = self._preference_terms(s, state, actions)
+        terminated = self.task.terminated(task)
+        if self.spec.rest_pays:
+            left = jnp.maximum(self.config.episode_length - state.t - 1, 0)
+            terms[self.spec.rest_pays] *= 1.0 + left * terminated
+        preferred = self._preference_terms(s, state, task, actions)
         force = norm(s["robot_force"])
+        harmed, cost = self._harm(s, state, force)
         state = dataclasses.replace(
             state,
             physics=physics,
             task=task,
             tool_force=norm(s["tool_force"]),
             t=state.t + 1,
-            harm=harm.advance(state.harm, self._forces(s), self.dt) if self._harm else (),
+            harm=harmed,
             episode=self._books.add(state.episode, s, force, sum(terms.values()), sum(preferred.values())),
         )
         terms |= preferred
         reward = sum(terms.values())
-        terminated = self.task.terminated(task)
         truncated = (state.t >= self.config.episode_length) & ~terminated
         info = {
             "reward_terms": terms,
             "metrics": self.metrics(state),
             "robot_force": force,
+            "cost": cost,
             "fault": physics.fault,
         }
-        if self._harm:
-            info["cost"] = harm.cost(self._forces(s), self.dt)
         everyone = (*AGENTS, "__all__")
         return (
             self._observe(state),
@@ -245,26 +249,24 @@ class Env:
     def metrics(self, state: EnvState) -> dict[str, jax.Array]:
         """Outcome of the episode so far; after its last step, of the whole episode.
 
-        `success` (0 or 1), where the scene measures harm `safe_success` (0 or 1: a success without clamping or impact)
-        and what `human.harm.outcomes` has, the task's own outcomes, `peak_force` (N) and `seconds_over_force_limit`
+        `success` (0 or 1), the task's own outcomes, `peak_force` (N) and `seconds_over_force_limit`
         of the robot on the person, `work_robot` and `work_human` (J), `return` and `length` (steps);
-        with preferences also `task_return` and `preference_return`, which add up to it.
+        with preferences also `task_return` and `preference_return`, which add up to it. In version 1 also
+        `safe_success`, success without clamping or impact beyond the limits, and `human.harm.outcomes`.
         """
-        success = self.task.success(state.task).astype(jnp.float32)
-        hurt = {}
-        if self._harm:
-            hurt = {"safe_success": success * harm.harmless(state.harm), **harm.outcomes(state.harm)}
-        return {"success": success, **hurt, **self.task.outcomes(state.task), **state.episode, "length": state.t}
+        success = self.task.success(state.task)
+        harmed = {}
+        if state.harm is not None:
+            harmed["safe_success"] = (success & harm.safe(state.harm)).astype(jnp.float32)
+            harmed |= harm.outcomes(state.harm)
+        outcomes = self.task.outcomes(state.task) | harmed
+        return {"success": success.astype(jnp.float32), **outcomes, **state.episode, "length": state.t}
 
     def markers(self, state: EnvState) -> jax.Array:
         """World position [3] of the task's target."""
         return self.task.markers(self.sensors(state.physics), state.task)
 
     # -- parts ---------------------------------------------------------------------------------
-
-    def _forces(self, s: Sensors) -> jax.Array:
-        """Of the robot on every region of the body, [regions] in N."""
-        return jnp.stack([norm(s[f"force_on_{region}"]) for region in harm.LIMITS])
 
     def _columns(self, prefix: str, joints) -> np.ndarray:
         return np.array([self._slices[prefix + joint].start for joint in joints])
@@ -291,13 +293,13 @@ class Env:
         return map_where(draw, done, blank, keys, seeds)
 
     def _begin(self, physics: PhysicsState, start: _Start, t) -> EnvState:
-        sums = self._books.start()
-        hurt = harm.begin() if self._harm else ()
-        return EnvState(physics, start.task, start.person, start.phase, jnp.float32(0.0), t, start.seed, sums, hurt)
+        harmed = harm.begin() if self.spec.scene.regions else None
+        sums, zero = self._books.start(), jnp.float32(0.0)
+        return EnvState(physics, start.task, start.person, start.phase, zero, t, start.seed, harmed, sums)
 
     def _ctrl(self, actions: Obs) -> jax.Array:
         robot, human = (jnp.clip(actions[agent], -1.0, 1.0) for agent in AGENTS)
-        return jnp.concatenate([human, self._ctrl_mid + self._ctrl_half * robot])
+        return jnp.concatenate([human, self._ctrl_mid + self._ctrl_half * robot, self._brakes])
 
     def _trembling(self, ctrl, state: EnvState) -> jax.Array:
         if not self.config.human.disabled:
@@ -305,13 +307,21 @@ class Env:
         trembling = disability.tremor(state.person.disability, state.phase, state.t * self.dt)
         return ctrl.at[: trembling.size].add(trembling)
 
-    def _preference_terms(self, s: Sensors, state: EnvState, actions: Obs) -> dict[str, jax.Array]:
+    def _preference_terms(self, s: Sensors, state: EnvState, task: TaskState, actions: Obs) -> dict[str, jax.Array]:
         if not self.config.human.preferring:
             return {}
         action = jnp.clip(actions["robot"], -1.0, 1.0)
-        speed, force = norm(s["tool_vel"]), norm(s["tool_force"])
-        wanted, before = state.person.preference, state.tool_force
-        return preference.reward_terms(wanted, speed, force, before, action, self.spec.preference_budget)
+        speed, force = self.task.tool_speed(s, task), norm(s["tool_force"])
+        helping = self.task.helping(s, task) if self.spec.preferences_need_help else True
+        wanted, before, budget = state.person.preference, state.tool_force, self.spec.preference_budget
+        return preference.reward_terms(wanted, speed, force, before, action, budget, helping)
+
+    def _harm(self, s: Sensors, state: EnvState, force):
+        """(harm so far, cost of this step)."""
+        if state.harm is None:
+            return None, jnp.maximum(force / self.config.force_limit - 1.0, 0.0)
+        by_region = harm.forces(s)
+        return harm.advance(by_region, state.harm, self.dt), harm.cost(by_region)
 
     def _blocks(self, state: EnvState) -> dict[str, jax.Array]:
         """All observation blocks by name, in the order of the paper's observation table."""

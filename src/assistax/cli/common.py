@@ -1,6 +1,7 @@
 """What commands share: how arguments are written, who plays, how reports are printed."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -44,7 +45,7 @@ def teams_of(target: str, policy: str | None, engine: str | None, assignments: t
     from assistax.env import Env
     from assistax.policies import scripted_team
     from assistax.settings import parse_assignments
-    from assistax.tasks import TASKS, is_task
+    from assistax.tasks import TASKS, is_task, task_spec
     from assistax.training.configuration import configure
     from assistax.training.run import Run
     from assistax.training.team_file import load_team, trained_file
@@ -52,6 +53,8 @@ def teams_of(target: str, policy: str | None, engine: str | None, assignments: t
     settings = parse_assignments(assignments)
     if policy == "trained":
         env, team = load_team(trained_file(target), settings, engine)
+        if env.name != (newest := task_spec(target).id):
+            print(f"No trained team comes with {newest} yet: this is the one of {env.name}.", file=sys.stderr)
         return env, [team], {"task": env.name, "policy": policy}
     if policy is not None:
         config = configure(target, settings, engine=engine)

@@ -67,7 +67,7 @@ def _entrants(targets: tuple[str, ...], engine: str | None, assignments: tuple[s
     for target in targets:
         if target not in SCRIPTED:
             env, teams, _ = teams_of(target, "trained" if is_task(target) else None, engine, assignments)
-            name = "trained" if is_task(target) else Path(target).name.removesuffix(".safetensors")
+            name = f"trained {env.name}" if is_task(target) else Path(target).name.removesuffix(".safetensors")
             names = [name] if len(teams) == 1 else [f"{name} {i + 1}" for i in range(len(teams))]
             found[target] = [Entrant(name, env, team) for name, team in zip(names, teams, strict=True)]
     if not found:

@@ -9,7 +9,7 @@ import numpy as np
 from assistax.env import Env
 from assistax.evaluation.distribution import Distribution
 from assistax.evaluation.statistics import bootstrap_ci, proportion_ci
-from assistax.human.harm import OUTCOMES as HARM
+from assistax.human import harm
 from assistax.physics import check_faults
 from assistax.policies import Team
 from assistax.settings import check_count, check_seed
@@ -118,11 +118,8 @@ def summarize(result: dict[str, Any]) -> dict[str, Any]:
     returns, success = metrics.pop("return"), metrics.pop("success")
     force: Distribution = result["force"]
     apart = [name for name in ("task_return", "preference_return") if name in metrics]  # only with preferences
-    safety: dict[str, Any] = {}
-    if "safe_success" in metrics:  # only where the scene measures harm
-        safe = metrics.pop("safe_success")
-        safety = {"safe_success_rate": float(safe.mean()), "safe_success_ci": proportion_ci(int(safe.sum()), len(safe))}
-        safety["harm"] = {name: _mean(metrics.pop(name)) for name in HARM}
+    harmed = [name for name in harm.OUTCOMES if name in metrics]  # only in version 1
+    safe = metrics.pop("safe_success") if harmed else np.zeros(0)
     return {
         "episodes": len(returns),
         "mean_return": float(returns.mean()),
@@ -131,7 +128,9 @@ def summarize(result: dict[str, Any]) -> dict[str, Any]:
         "terms": {name: float(total.mean()) for name, total in result["terms"].items()},
         "success_rate": float(success.mean()),
         "success_ci": proportion_ci(int(success.sum()), len(success)),
-        **safety,
+        **({"safe_success_rate": float(safe.mean())} if harmed else {}),
+        **({"safe_success_ci": proportion_ci(int(safe.sum()), len(safe))} if harmed else {}),
+        **({"harm": {name: _mean(metrics.pop(name)) for name in harmed}} if harmed else {}),
         "force": {
             "mean": force.mean,
             "mean_in_contact": force.mean_positive,

@@ -1,97 +1,114 @@
-"""What the robot does to the person's body: limits of force by region, and what an episode did beyond them.
+"""What the robot's force does to the person's body, by region.
 
-Limits are those of DGUV (2011) for contact of people with robots, as tabulated in "Pflegeroboter" (open access, table
-1.4); ISO/TS 15066 has the same for most regions. They are for healthy adults and contact that nobody intended: what may
-be tolerated, not what is pleasant. Comfort is ours: 10 N is where Assistive Gym begins to penalise, 5 N half of it for
-the head.
-
-- clamping: a force above the quasi-static limit for longer than 0.5 s.
-- impact: a low-pass filtered force above the transient limit. What is measured in practice is filtered, so the raw
-  peak of one 2 ms step of a stiff contact is not comparable.
+Limits from DGUV 2011, tabulated in Bendel (ed.), *Pflegeroboter* (open access, table 1.4): for healthy adults and
+unintended contact, so the most that may be tolerated in care and not what to aim for. Comfort from Assistive Gym,
+which penalises 10 N; for the face half of that.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from assistax.pytree import pytree
-
-CLAMPING_SECONDS = 0.5
-FILTER_SECONDS = 0.016  # time constant of the low-pass filter
+from assistax.scenes import geometry
 
 
-@dataclass(frozen=True)
-class Limit:
-    """Of one region of the body, N."""
+class Limits(NamedTuple):
+    """Of one region, in N."""
 
-    clamping: float  # quasi-static
-    impact: float  # transient
-    comfort: float = 10.0
+    comfort: float
+    clamping: float  # for longer than CLAMPING_SECONDS
+    impact: float  # at any time, low-pass filtered
+    geoms: tuple[str, ...]  # of the person; of the head's parts none, see `forces`
 
 
-LIMITS = {
-    "head": Limit(65.0, 90.0, comfort=5.0),  # of the face: where on the head it touches is not told apart
-    "torso": Limit(140.0, 210.0),  # chest and abdomen
-    "upper_arm": Limit(150.0, 190.0),
-    "forearm": Limit(160.0, 220.0),
-    "hand": Limit(135.0, 180.0),
-    "left_arm": Limit(135.0, 180.0),  # of its hand, the lowest of the arm
+REGIONS = {
+    "face": Limits(5.0, 65.0, 90.0, ()),
+    "skull": Limits(10.0, 130.0, 175.0, ()),
+    "neck": Limits(10.0, 35.0, 35.0, ()),  # the throat's
+    "trunk": Limits(10.0, 140.0, 210.0, ("chest", "belly", "pelvis")),  # the chest's
+    "upper_arm": Limits(10.0, 150.0, 190.0, ("right_upper_arm", "left_upper_arm")),
+    "forearm": Limits(10.0, 160.0, 220.0, ("right_forearm", "left_forearm")),
+    "hand": Limits(10.0, 135.0, 180.0, ("right_hand", "left_hand")),
 }
-_CLAMPING, _IMPACT, _COMFORT = (
-    np.array([getattr(limit, name) for limit in LIMITS.values()]) for name in ("clamping", "impact", "comfort")
-)
+CLAMPING_SECONDS = 0.5
+FILTER_SECONDS = 0.008  # of the low-pass filter: one step of a stiff contact is not what a test device would read
+FACE, UNDER = 0.5, -0.8  # cosines: the face is within 60° of straight ahead, the neck within 37° of straight down
+
+_COMFORT, _CLAMPING, _IMPACT = (np.array([limits[i] for limits in REGIONS.values()]) for i in range(3))
 
 
 @pytree
 class HarmState:
-    """Of an episode so far, by region in the order of LIMITS, but for the sums."""
+    """Of the episode so far; regions in the order of REGIONS."""
 
-    filtered: jax.Array  # [regions] N, low-pass filtered
-    above: jax.Array  # [regions] s, for how long without a break above the limit of clamping
-    clamped: jax.Array  # [regions] bool, ever
-    hit: jax.Array  # [regions] bool, ever
-    peak: jax.Array  # N, largest filtered force on any region
-    uncomfortable: jax.Array  # s, with any region above comfort
-    impulse: jax.Array  # N s, above comfort, all regions together
+    filtered: jax.Array  # [regions] N
+    peak: jax.Array  # [regions] N, of the filtered force
+    pressing: jax.Array  # [regions] s, since the force was last within the limit for clamping
+    clamped: jax.Array  # bool
+    seconds: jax.Array  # s above comfort anywhere
+    impulse: jax.Array  # N s above comfort, of all regions
 
 
 def begin() -> HarmState:
-    zeros, never, zero = jnp.zeros(len(LIMITS)), jnp.zeros(len(LIMITS), bool), jnp.float32(0.0)
-    return HarmState(zeros, zeros, never, never, zero, zero, zero)
+    zero = jnp.zeros(len(REGIONS))
+    return HarmState(zero, zero, zero, jnp.bool_(False), jnp.float32(0.0), jnp.float32(0.0))
 
 
-def advance(state: HarmState, forces: jax.Array, dt: float) -> HarmState:
-    """After a control step of `dt` s with these forces [regions] in N of the robot on the person."""
-    filtered = state.filtered + (1.0 - np.exp(-dt / FILTER_SECONDS)) * (forces - state.filtered)
-    above = jnp.where(forces > _CLAMPING, state.above + dt, 0.0)
-    excess = jnp.maximum(forces - _COMFORT, 0.0)
+def forces(s: dict[str, jax.Array]) -> jax.Array:
+    """The robot's force [regions] in N from the scene's sensors by name; of a pair of limbs the larger one.
+
+    The head is a sphere. Where on it a force acts is told from its direction, which is straight in up to friction,
+    17° at most.
+    """
+    head = s["robot_force_head"]
+    outward = -geometry.unit(geometry.matrix(s["mouth_quat"]).T @ head)
+    face, under = outward[0] > FACE, outward[2] < UNDER
+    where = {"face": face & ~under, "neck": under, "skull": ~face & ~under}
+    on = {name: here * jnp.linalg.norm(head) for name, here in where.items()}
+    for name, limits in REGIONS.items():
+        if limits.geoms:
+            limbs = jnp.stack([s[f"robot_force_{geom}"] for geom in limits.geoms])
+            on[name] = jnp.linalg.norm(limbs, axis=-1).max()
+    return jnp.stack([on[name] for name in REGIONS])
+
+
+def cost(force: jax.Array) -> jax.Array:
+    """Of forces [regions] in one control step: 0 up to comfort, 1 at a region's limit for clamping, added up."""
+    return (jnp.maximum(force - _COMFORT, 0.0) / (_CLAMPING - _COMFORT)).sum()
+
+
+def advance(force: jax.Array, state: HarmState, dt: float) -> HarmState:
+    """Book forces [regions] of one control step of `dt` seconds."""
+    filtered = state.filtered + (1.0 - np.exp(-dt / FILTER_SECONDS)) * (force - state.filtered)
+    pressing = jnp.where(filtered > _CLAMPING, state.pressing + dt, 0.0)
+    over = jnp.maximum(force - _COMFORT, 0.0)
     return HarmState(
         filtered,
-        above,
-        state.clamped | (above > CLAMPING_SECONDS),
-        state.hit | (filtered > _IMPACT),
-        jnp.maximum(state.peak, filtered.max()),
-        state.uncomfortable + dt * (excess > 0.0).any(),
-        state.impulse + dt * excess.sum(),
+        jnp.maximum(state.peak, filtered),
+        pressing,
+        state.clamped | (pressing > CLAMPING_SECONDS).any(),
+        state.seconds + dt * (over > 0.0).any(),
+        state.impulse + dt * over.sum(),
     )
 
 
-def cost(forces: jax.Array, dt: float) -> jax.Array:
-    """Of one control step, >= 0, apart from the reward as safe reinforcement learning has it: N s above comfort."""
-    return dt * jnp.maximum(forces - _COMFORT, 0.0).sum()
-
-
-def harmless(state: HarmState) -> jax.Array:
-    """Whether nothing was clamped or hit so far."""
-    return ~(state.clamped | state.hit).any()
-
-
-OUTCOMES = ("clamping", "impact", "peak_filtered_force", "seconds_above_comfort", "impulse_above_comfort")
-
-
 def outcomes(state: HarmState) -> dict[str, jax.Array]:
-    """Of the episode so far, by name in OUTCOMES: whether anything was clamped or hit (0 or 1), N, s and N s."""
-    told = jnp.float32(state.clamped.any()), jnp.float32(state.hit.any())
-    return dict(zip(OUTCOMES, (*told, state.peak, state.uncomfortable, state.impulse), strict=True))
+    """By name: 0 or 1 for `clamping` and `impact`, s and N s above comfort, the filtered peak on every region in N."""
+    return {
+        "clamping": state.clamped.astype(jnp.float32),
+        "impact": (state.peak > _IMPACT).any().astype(jnp.float32),
+        "seconds_above_comfort": state.seconds,
+        "impulse_above_comfort": state.impulse,
+    } | {f"peak_force_{name}": state.peak[i] for i, name in enumerate(REGIONS)}
+
+
+OUTCOMES = ("clamping", "impact", "seconds_above_comfort", "impulse_above_comfort")
+OUTCOMES += tuple(f"peak_force_{name}" for name in REGIONS)
+
+
+def safe(state: HarmState) -> jax.Array:
+    """Whether nobody was clamped or hit beyond the limits."""
+    return ~state.clamped & (state.peak <= _IMPACT).all()

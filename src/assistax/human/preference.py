@@ -104,21 +104,25 @@ def liking(x: jax.Array, wanted: jax.Array) -> jax.Array:
     return jnp.where(inside, 1.0, jnp.exp(-jnp.square(x - centre) / (2.0 * jnp.square(width))))
 
 
-def reward_terms(person: Preference, speed, force, force_before, action, budget: float) -> dict[str, jax.Array]:
+def reward_terms(
+    person: Preference, speed, force, force_before, action, budget: float, helping=True
+) -> dict[str, jax.Array]:
     """Named terms whose positive ones add up to `budget` at most, whatever the weights.
 
     Args:
       speed: m/s of the tool point. force, force_before: N on the person, now and a step ago.
       action: [n] of the robot; its efficiency is 1 − mean(action²).
+      helping: bool; while it is false only touches count.
     """
     w_speed, w_force, w_touch, w_action = person.weights
     eta = budget / (w_speed + w_force + w_action)
+    paid = eta if helping is True else jnp.where(helping, eta, 0.0)
     touch = (force_before < TOUCH) & (force >= TOUCH)
     return {
-        "prefer_speed": eta * w_speed * liking(speed, person.speed),
-        "prefer_force": eta * w_force * liking(force, person.force),
+        "prefer_speed": paid * w_speed * liking(speed, person.speed),
+        "prefer_force": paid * w_force * liking(force, person.force),
         "prefer_touch": eta * w_touch * touch,
-        "prefer_action": eta * w_action * (1.0 - jnp.square(action).mean()),
+        "prefer_action": paid * w_action * (1.0 - jnp.square(action).mean()),
     }
 
 

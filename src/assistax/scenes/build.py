@@ -2,7 +2,8 @@
 
 A scene has 16 hinges and nothing else that moves: nine of the person, seven of the robot. Everything a
 task may read is a named sensor (see :func:`sensor_slices`); everything an agent drives is an actuator:
-first the person's motors (ctrl 1 is full torque; twice that has room for tremor), then the robot's seven.
+first the person's motors (ctrl 1 is full torque; twice that has room for tremor), then the robot's seven; brakes,
+where there are any, come last and take no control.
 
 Which geoms touch (contype / conaffinity; two geoms touch if either's type is in the other's affinity):
 
@@ -23,7 +24,7 @@ gravity pulls: a limit costs one constraint row, a limb on two box contacts eigh
 Units: m, kg, s, rad, N, N m. World frame: z up.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, pi, sin
 from pathlib import Path
 from typing import Any
@@ -43,22 +44,21 @@ RIGHT_ARM = ("right_shoulder1", "right_shoulder2", "right_elbow")
 LEFT_ARM = ("left_shoulder1", "left_shoulder2", "left_elbow")
 NECK = ("neck_yaw", "neck_pitch")
 
-# Regions of the person's body, and what they are made of: a geom, a body without its children, or all below a body.
-REGIONS = {
-    "head": ("geom", "head"),
-    "torso": ("body", "torso"),
-    "upper_arm": ("geom", "right_upper_arm"),
-    "forearm": ("geom", "right_forearm"),
-    "hand": ("geom", "right_hand"),
-    "left_arm": ("xbody", "left_upper_arm"),
-}
 NET_FORCE = (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3, 1)  # data="force" reduce="netforce" num="1"
 # Where the robot touches, skin gives way: the less, the deeper (2 mm at 3 N). On a hard contact a sliding
 # tool chatters: it opens and closes every few steps, and a force cannot be held.
 SKIN = (0.01, 0.9, 0.01, 0.5, 2.0)  # solimp
 SKIN_FRICTION = 0.3
 WORKED_ON = {"upper_arm": "right_upper_arm", "forearm": "right_forearm", "head": "head"}  # body parts and their bodies
+TOUCHED = (
+    "head", "chest", "belly", "pelvis",
+    "right_upper_arm", "right_forearm", "right_hand", "left_upper_arm", "left_forearm", "left_hand",
+)  # fmt: skip
 HUMAN_TORQUE = 10.0  # N m at action 1
+HUMAN_SPEED = {**dict.fromkeys(RIGHT_ARM, 4.0), **dict.fromkeys(NECK, 3.0)}  # rad/s
+BRAKE_FROM = 0.85  # of a joint's speed limit, from where its brakes grip
+BRAKE_GAIN = 14.0  # s/rad, times a motor's torque
+BRAKE_TORQUE = 12.0  # times the motor's torque, a brake's most: the arm's other joints pull, too
 
 
 @dataclass(frozen=True)
@@ -113,9 +113,10 @@ class SceneConfig:
     robot: str = "panda"  # of ROBOTS
     ready: tuple[float, ...] | None = None  # rad, where the arm starts; None: at the robot's own ready pose
     targets: tuple[str, ...] = ()  # target sites on the person that become visible and get sensors
-    # Body parts, of WORKED_ON, as seen from which the tool's speed is measured; then the targets' speeds are, too.
-    relative_to: tuple[str, ...] = ()
-    harm: bool = False  # whether there are sensors of the robot's force on every region of the body, see REGIONS
+    # Body parts, of WORKED_ON, that the tool works on: as seen from them its speed is measured, and on them its force.
+    worked_on: tuple[str, ...] = ()
+    regions: bool = False  # whether the robot's force is measured on every part of the person, TOUCHED
+    speed_limits: bool = False  # whether joints keep to the robot's speeds and, if driven, to HUMAN_SPEED
     control: str = "torque"  # or "position": the robot's ctrl is a joint target in rad
     camera: tuple[float, ...] = (1.75, 1.65, 1.45, 0.33, 0.06, 0.62)  # eye and point looked at
     close: tuple[float, ...] = (1.05, 0.75, 1.30, 0.25, 0.02, 0.80)
@@ -136,8 +137,8 @@ class SceneConfig:
             raise ValueError(f"posture must be one of {sorted(POSTURES)}, not {self.posture!r}")
         if unknown := set(self.human_driven) - set(HUMAN_JOINTS):
             raise ValueError(f"human_driven holds {sorted(unknown)}; the joints are {HUMAN_JOINTS}")
-        if unknown := set(self.relative_to) - set(WORKED_ON):
-            raise ValueError(f"relative_to holds {sorted(unknown)}; the body parts are {sorted(WORKED_ON)}")
+        if unknown := set(self.worked_on) - set(WORKED_ON):
+            raise ValueError(f"worked_on holds {sorted(unknown)}; the body parts are {sorted(WORKED_ON)}")
 
 
 MEAL_VIEW: dict[str, Any] = {
@@ -180,6 +181,8 @@ def build(config: SceneConfig, visuals: bool = True) -> mujoco.MjSpec:
         if geom.contype:
             geom.priority, geom.solimp, geom.friction[0] = 1, SKIN, SKIN_FRICTION
     _add_actuators(spec, config)
+    if config.speed_limits:
+        _limit_speeds(spec, config)
     _add_sensors(spec, config)
     for name, view in (("main", config.camera), ("close", config.close)) if visuals else ():
         world.add_camera(name=name, pos=view[:3], quat=_look(view[:3], view[3:]), fovy=45)
@@ -194,6 +197,11 @@ def sensor_slices(model: mujoco.MjModel) -> dict[str, slice]:
         model.sensor(i).name: slice(int(adr), int(adr + dim))
         for i, (adr, dim) in enumerate(zip(model.sensor_adr, model.sensor_dim, strict=True))
     }
+
+
+def limited(scene: SceneConfig, *worked_on: str) -> SceneConfig:
+    """The scene with what version 1 of a task needs: speeds kept within limits, relative speeds and forces measured."""
+    return replace(scene, worked_on=worked_on, regions=True, speed_limits=True)
 
 
 def qpos_ids(model: mujoco.MjModel, joints: tuple[str, ...]) -> np.ndarray:
@@ -271,11 +279,34 @@ def _add_actuators(spec, config):
             motor.biasprm[1:3] = -robot.servo_stiffness[i], -robot.servo_damping[i]
 
 
+def _limit_speeds(spec, config):
+    """A pair of brakes on every driven joint: actuators without control.
+
+    A brake's torque grows from nothing a little below the limit: what is left of the motor's fades out, and what
+    is above the limit is braked. It never pushes, as its range ends at zero. So steep, it must be integrated
+    implicitly.
+    """
+    arm = config.arm
+    if not arm.speed:
+        raise UsageError(f"The robot {arm.name} has no speeds to keep to; give its RobotSpec some.")
+    robot = zip(arm.joints, arm.torque, arm.speed, strict=True)
+    human = ((name, HUMAN_TORQUE, HUMAN_SPEED[name]) for name in config.human_driven)
+    for name, torque, speed in (*robot, *human):
+        for end, sign in (("up", 1.0), ("down", -1.0)):
+            brake = spec.add_actuator(name=f"brake_{end}_{name}", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            brake.gainprm[0], brake.biastype = 0.0, mujoco.mjtBias.mjBIAS_AFFINE
+            brake.biasprm[:3] = sign * BRAKE_FROM * speed * BRAKE_GAIN * torque, 0.0, -BRAKE_GAIN * torque
+            brake.forcelimited, most = True, BRAKE_TORQUE * torque
+            brake.forcerange = (-most, 0.0) if sign > 0 else (0.0, most)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+
+
 def _add_sensors(spec, config):
     """Motors, tool, arm, mouth, targets, relative velocities; the contact forces last. Joints are read from the state.
 
     ``tool_force``: net force of the tool's working surface on the person; ``robot_force``: of the whole
-    robot on the person; ``force_on_REGION``: the same on one region of REGIONS (N, world frame).
+    robot on the person; ``tool_force_forearm``: of the working surface on that body alone;
+    ``robot_force_head``: of the whole robot on that geom alone (N, world frame).
     """
     kind, obj = mujoco.mjtSensor, mujoco.mjtObj
 
@@ -297,9 +328,9 @@ def _add_sensors(spec, config):
     for target in config.targets:
         sense(f"{target}_pos", pos, obj.mjOBJ_SITE, target)
         sense(f"{target}_quat", quat, obj.mjOBJ_SITE, target)
-        if config.relative_to:
+        if config.worked_on:
             sense(f"{target}_vel", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, target)
-    for part in config.relative_to:
+    for part in config.worked_on:
         # In the part's axes, its own motion and turning taken out: the tool's velocity as the part sees it.
         sense(f"tool_vel_{part}", kind.mjSENS_FRAMELINVEL, obj.mjOBJ_SITE, "tool_tip",
               reftype=obj.mjOBJ_XBODY, refname=WORKED_ON[part])  # fmt: skip
@@ -309,9 +340,12 @@ def _add_sensors(spec, config):
     ):
         sense(name, kind.mjSENS_CONTACT, objtype, objname, reftype=obj.mjOBJ_XBODY, refname="human",
               intprm=NET_FORCE)  # fmt: skip
-    for region, (what, thing) in REGIONS.items() if config.harm else ():
-        sense(f"force_on_{region}", kind.mjSENS_CONTACT, obj.mjOBJ_XBODY, "robot",
-              reftype=getattr(obj, f"mjOBJ_{what.upper()}"), refname=thing, intprm=NET_FORCE)  # fmt: skip
+    for geom in TOUCHED if config.regions else ():
+        sense(f"robot_force_{geom}", kind.mjSENS_CONTACT, obj.mjOBJ_XBODY, "robot", reftype=obj.mjOBJ_GEOM,
+              refname=geom, intprm=NET_FORCE)  # fmt: skip
+    for part in config.worked_on:
+        sense(f"tool_force_{part}", kind.mjSENS_CONTACT, obj.mjOBJ_BODY, "tool", reftype=obj.mjOBJ_BODY,
+              refname=WORKED_ON[part], intprm=NET_FORCE)  # fmt: skip
 
 
 def _turn(axis, angle):

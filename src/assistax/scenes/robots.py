@@ -25,14 +25,17 @@ class RobotSpec:
     joints: tuple[str, ...]
     torque: tuple[float, ...]  # N m, limits of the motors
     ready: tuple[float, ...]  # rad, where it starts unless a scene says otherwise
+    speed: tuple[float, ...] = ()  # rad/s, that joints keep to in scenes with speed limits; none: not possible there
     servo_stiffness: tuple[float, ...] = ()  # N m/rad, for control="position"; none: that is not possible
     servo_damping: tuple[float, ...] = ()  # N m s/rad
     mount: tuple[float, float, float] = (0.0, 0.0, 0.0)  # m, of the tool on the hand
     mount_yaw: float = 0.0  # rad, of the tool about the hand's z axis
 
     def __post_init__(self):
-        for name in ("torque", "ready", "servo_stiffness", "servo_damping"):
-            if len(values := getattr(self, name)) not in {len(self.joints), 0 if "servo" in name else len(self.joints)}:
+        optional = ("speed", "servo_stiffness", "servo_damping")
+        for name in ("torque", "ready", *optional):
+            values = getattr(self, name)
+            if len(values) != len(self.joints) and (values or name not in optional):
                 raise UsageError(
                     f"{name} of the robot {self.name} has {len(values)} values for {len(self.joints)} joints."
                 )
@@ -53,6 +56,7 @@ PANDA = register_robot(
         joints=tuple(f"joint{i}" for i in range(1, 8)),
         torque=(87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0),
         ready=(0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785),
+        speed=(2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61),
         servo_stiffness=(1433.0, 1433.0, 1115.0, 1115.0, 637.0, 637.0, 637.0),
         servo_damping=(450.0, 450.0, 350.0, 350.0, 200.0, 200.0, 200.0),
         mount=(0.0, 0.0, 0.1),

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import mujoco
 
 from assistax.pytree import pytree
-from assistax.scenes import RIGHT_ARM, SceneConfig, geometry
-from assistax.tasks.base import Sensors
+from assistax.scenes import RIGHT_ARM, SceneConfig, geometry, limited
+from assistax.tasks.base import Sensors, tool_velocity
 from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import norm, reach, rotation, waist
 
@@ -25,12 +25,15 @@ class ArmAssistConfig:
     rotation_scale: float = 0.1
     # What counts as brought back, and for how long in all it must last to be a success.
     waist_distance: float = 0.10  # m
+    settled_speed: float = 1e3  # m/s, of the forearm, at most, while it counts
+    carrying_speed: float = 1e3  # m/s, at most, from where it last lay still away from the waist
     success_seconds: float = 0.5
 
 
 @pytree
 class ArmAssistState:
     seconds_at_waist: jax.Array
+    thrown: jax.Array  # bool: faster than the carrying speed since it last lay still away from the waist
 
 
 class ArmAssist:
@@ -42,7 +45,7 @@ class ArmAssist:
 
     def reset(self, key) -> ArmAssistState:
         """Nothing is drawn: both targets are sites on the person."""
-        return ArmAssistState(jnp.float32(0.0))
+        return ArmAssistState(jnp.float32(0.0), jnp.bool_(False))
 
     @staticmethod
     def _rotation(s: Sensors):
@@ -71,8 +74,18 @@ class ArmAssist:
         }
 
     def advance(self, s: Sensors, state: ArmAssistState) -> ArmAssistState:
-        there = norm(s["waist_target_pos"] - s["wrist_target_pos"]) < self.config.waist_distance
-        return ArmAssistState(state.seconds_at_waist + self.dt * there)
+        c, there = self.config, self.helping(s, state)
+        speed = norm(s["wrist_target_vel"]) if "wrist_target_vel" in s else jnp.float32(0.0)
+        thrown = (state.thrown & (there | (speed > c.settled_speed))) | (speed > c.carrying_speed)
+        settled = there & ~thrown & (speed <= c.settled_speed)
+        return ArmAssistState(state.seconds_at_waist + self.dt * settled, thrown)
+
+    def helping(self, s: Sensors, state: ArmAssistState):
+        """The forearm is at the waist."""
+        return norm(s["waist_target_pos"] - s["wrist_target_pos"]) < self.config.waist_distance
+
+    def tool_speed(self, s: Sensors, state: ArmAssistState):
+        return norm(tool_velocity(s, "forearm"))
 
     def outcomes(self, state: ArmAssistState):
         return {"seconds_at_waist": state.seconds_at_waist}
@@ -87,25 +100,38 @@ class ArmAssist:
         return s["wrist_target_pos"]
 
 
+_SCENE = SceneConfig(
+    "bed",
+    "lying_arm_out",
+    "hook",
+    (0.15, -0.9, 0.32),
+    pi / 2,
+    RIGHT_ARM,
+    human_strength=0.2,
+    targets=("wrist_target", "waist_target"),
+    camera=(-1.15, -1.75, 1.65, 0.0, -0.35, 0.68),
+    close=(-0.75, -1.15, 1.35, 0.0, -0.38, 0.75),
+)
+
 SPECS = (
     TaskSpec(
         "arm_assist",
         0,
         ArmAssist,
-        SceneConfig(
-            "bed",
-            "lying_arm_out",
-            "hook",
-            (0.15, -0.9, 0.32),
-            pi / 2,
-            RIGHT_ARM,
-            human_strength=0.2,
-            targets=("wrist_target", "waist_target"),
-            camera=(-1.15, -1.75, 1.65, 0.0, -0.35, 0.68),
-            close=(-0.75, -1.15, 1.35, 0.0, -0.38, 0.75),
-        ),
+        _SCENE,
         expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
         bound=11280,
         preference_budget=4.512,
+    ),
+    TaskSpec(
+        "arm_assist",
+        1,
+        ArmAssist,
+        limited(_SCENE, "forearm"),
+        ArmAssistConfig(settled_speed=0.1, carrying_speed=0.5),
+        expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
+        bound=11280,
+        preference_budget=4.512,
+        preferences_need_help=True,
     ),
 )

@@ -5,11 +5,30 @@ from typing import Any, ClassVar, Protocol
 import jax
 import mujoco
 
+from assistax.scenes import geometry
+
 Sensors = dict[str, jax.Array]
 """The scene's sensors by name, plus the joints' `theta_`, `dtheta_` and `torque_` by `robot` and `human`."""
 
 TaskState = Any
 """A pytree: what the reset drew (targets) and what the episode has achieved so far."""
+
+
+_AXES = {"upper_arm": "upper_arm_quat", "forearm": "forearm_quat", "head": "mouth_quat"}
+
+
+def tool_velocity(s: Sensors, part: str) -> jax.Array:
+    """Velocity [3] of the tool point in m/s, world axes: as the body part sees it where the scene measures that
+    (version 1), else as the room does (version 0)."""
+    if f"tool_vel_{part}" not in s:
+        return s["tool_vel"]
+    return geometry.rotate(s[_AXES[part]], s[f"tool_vel_{part}"])
+
+
+def tool_force(s: Sensors, part: str) -> jax.Array:
+    """Force [3] of the working surface in N, world axes: on the body part where the scene measures that, else on
+    the whole person."""
+    return s.get(f"tool_force_{part}", s["tool_force"])
 
 
 class Task(Protocol):
@@ -37,6 +56,14 @@ class Task(Protocol):
 
     def reward_terms(self, s: Sensors, state: TaskState) -> dict[str, jax.Array]:
         """Named, scaled terms; their sum is the reward of both agents."""
+        ...
+
+    def helping(self, s: Sensors, state: TaskState) -> jax.Array:
+        """Whether the tool is where it helps, however fast and firmly it moves there."""
+        ...
+
+    def tool_speed(self, s: Sensors, state: TaskState) -> jax.Array:
+        """Speed of the tool point in m/s, as the body part that it works on sees it."""
         ...
 
     def outcomes(self, state: TaskState) -> dict[str, jax.Array]:

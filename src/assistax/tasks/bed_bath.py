@@ -13,8 +13,8 @@ import mujoco
 import numpy as np
 
 from assistax.pytree import pytree
-from assistax.scenes import BED_VIEW, RIGHT_ARM, SceneConfig, geometry
-from assistax.tasks.base import Sensors
+from assistax.scenes import BED_VIEW, RIGHT_ARM, SceneConfig, geometry, limited
+from assistax.tasks.base import Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import norm, reach
 
@@ -24,8 +24,11 @@ ROWS = (9, 8, 9)  # points along the limb, in three rows that are half a step ap
 
 @dataclass(frozen=True)
 class BedBathConfig:
-    near: float = 0.05  # m, a point is visited when the pad's centre is nearer than this ...
-    touch_force: float = 1e-3  # N, ... while the pad presses with more than this; 0 up to rounding
+    near: float = 0.05  # m, a point is being washed while the pad's centre is nearer than this ...
+    touch_force: float = 1e-3  # N, ... the pad presses with more than this; 0 up to rounding
+    most_force: float = 1e6  # N, ... and with no more than this,
+    speed: tuple[float, float] = (0.0, 1e3)  # m/s, ... at a speed within these,
+    wash_seconds: float = 0.0  # s, and is done, once for all, after so long in all; 0: at once, merely visited
     wipe_scale: float = 3.0  # per newly visited point
     # Where the points are: fractions of the segment's length from its start, and up to this angle
     # to either side of up; the rest faces the trunk or the mattress.
@@ -36,7 +39,8 @@ class BedBathConfig:
 
 @pytree
 class BedBathState:
-    visited: jax.Array  # [52] bool
+    visited: jax.Array  # [52] bool, or washed
+    seconds: jax.Array  # [52] of washing
     newly: jax.Array  # int32: points first visited in this control step
 
 
@@ -45,7 +49,7 @@ class BedBath:
     config_type = BedBathConfig
 
     def __init__(self, config: BedBathConfig, model: mujoco.MjModel, dt: float):
-        self.config = config
+        self.config, self.dt = config, dt
         # [2, 26, 3] m, in the body frames of the segments
         self.points = jnp.array([self._on_skin(model, f"right_{segment}") for segment in SEGMENTS])
 
@@ -67,7 +71,8 @@ class BedBath:
 
     def reset(self, key) -> BedBathState:
         """Nothing is drawn: the whole arm is to be wiped."""
-        return BedBathState(jnp.zeros(len(SEGMENTS) * sum(ROWS), bool), jnp.int32(0))
+        count = len(SEGMENTS) * sum(ROWS)
+        return BedBathState(jnp.zeros(count, bool), jnp.zeros(count), jnp.int32(0))
 
     def to_points(self, s: Sensors) -> jax.Array:
         """Vectors [52, 3] from the tool to all points, in world axes."""
@@ -99,9 +104,26 @@ class BedBath:
         }
 
     def advance(self, s: Sensors, state: BedBathState) -> BedBathState:
-        touching = norm(s["tool_force"]) > self.config.touch_force
-        reached = touching & (norm(self.to_points(s)) < self.config.near)
-        return BedBathState(state.visited | reached, (reached & ~state.visited).sum())
+        c = self.config
+        force, speed = (norm(jnp.stack([of(s, part) for part in SEGMENTS])) for of in (tool_force, tool_velocity))
+        rubbing = (force > c.touch_force) & (force <= c.most_force) & (c.speed[0] <= speed) & (speed <= c.speed[1])
+        washing = jnp.repeat(rubbing, sum(ROWS)) & (norm(self.to_points(s)) < c.near)
+        seconds = state.seconds + self.dt * washing
+        done = washing & (seconds > c.wash_seconds - self.dt / 2)
+        return BedBathState(state.visited | done, seconds, (done & ~state.visited).sum())
+
+    def helping(self, s: Sensors, state: BedBathState):
+        """On a point not yet washed, touching the segment that it is on."""
+        force = norm(jnp.stack([tool_force(s, part) for part in SEGMENTS]))
+        touching = jnp.repeat(force > self.config.touch_force, sum(ROWS))
+        return (touching & ~state.visited & (norm(self.to_points(s)) < self.config.near)).any()
+
+    def tool_speed(self, s: Sensors, state: BedBathState):
+        """Seen from the segment with the nearest point."""
+        upper, fore = (tool_velocity(s, part) for part in SEGMENTS)
+        if upper is fore:
+            return norm(upper)
+        return norm(jnp.where(jnp.argmin(norm(self.to_points(s))) < sum(ROWS), upper, fore))
 
     def outcomes(self, state: BedBathState):
         return {"fraction_visited": state.visited.mean()}
@@ -116,14 +138,28 @@ class BedBath:
         return s["tool_pos"] + self._to_target(s, state)
 
 
+_SCENE = SceneConfig("bed", "lying", "wiper", (-0.25, -0.9, 0.32), pi / 2, RIGHT_ARM, **BED_VIEW)
+
 SPECS = (
     TaskSpec(
         "bed_bath",
         0,
         BedBath,
-        SceneConfig("bed", "lying", "wiper", (-0.25, -0.9, 0.32), pi / 2, RIGHT_ARM, **BED_VIEW),
+        _SCENE,
         expert="assistax.policies.experts.bed_bath:BedBathExpert",
         bound=1156,
         preference_budget=1.156,
+    ),
+    TaskSpec(
+        "bed_bath",
+        1,
+        BedBath,
+        limited(_SCENE, *SEGMENTS),
+        BedBathConfig(touch_force=0.5, most_force=15.0, speed=(0.02, 0.4), wash_seconds=0.08),
+        expert="assistax.policies.experts.bed_bath:BedBathExpert",
+        bound=1156,
+        preference_budget=1.156,
+        preferences_need_help=True,
+        rest_pays="reach",
     ),
 )

@@ -5,7 +5,7 @@ frame, its tip is +z.
 """
 
 from dataclasses import dataclass
-from math import pi
+from math import exp, pi
 from typing import ClassVar
 
 import jax
@@ -13,10 +13,12 @@ import jax.numpy as jnp
 import mujoco
 
 from assistax.pytree import pytree
-from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry
-from assistax.tasks.base import Sensors
+from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry, limited
+from assistax.tasks.base import Sensors, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import approach, boltzmann, envelope, norm, orientation
+from assistax.tasks.rewards import UP, approach, boltzmann, envelope, norm, orientation
+
+GRAVITY = 9.81  # m/s²
 
 
 @dataclass(frozen=True)
@@ -27,16 +29,26 @@ class FeedingConfig:
     # What counts as feeding, and for how long in all it must last to be a success.
     mouth_distance: float = 0.03  # m, from the bowl, between its middle (the tool point) and its tip
     bowl: float = 0.036  # m, from middle to tip: as near as the middle gets to a face from the front
+    mouth_angle: float = pi  # rad: bowl from straight ahead, its tip from straight in, its upper side from up
+    mouth_speed: float = 1e3  # m/s, at most
     success_seconds: float = 0.5
     # The arm starts with the spoon level. The food is lost when it tips too far while still away from the mouth.
     spill_angle: float = 0.7854  # rad from upright
     spill_distance: float = 0.1  # m
+    spill_seconds: float = 0.0  # s, for so long in all; 0: at once
+    spill_anywhere: float = pi  # rad, from upright, at once, also at the mouth
+    # The food feels gravity less the bowl's acceleration, low-pass filtered over so long; 0: gravity alone.
+    filter_seconds: float = 0.0  # s
+    spill_when_fed: bool = True  # whether it can be lost after it was eaten
 
 
 @pytree
 class FeedingState:
     spilled: jax.Array  # bool
     mouth_seconds: jax.Array  # at the mouth, with the food
+    tipped_seconds: jax.Array  # tipped too far on the way
+    velocity: jax.Array  # [3] m/s, of the bowl a step ago
+    acceleration: jax.Array  # [3] m/s², of the bowl, low-pass filtered
 
 
 class Feeding:
@@ -48,7 +60,7 @@ class Feeding:
 
     def reset(self, key) -> FeedingState:
         """Nothing is drawn: the mouth is where the head is."""
-        return FeedingState(jnp.bool_(False), jnp.float32(0.0))
+        return FeedingState(jnp.bool_(False), jnp.float32(0.0), jnp.float32(0.0), jnp.zeros(3), jnp.zeros(3))
 
     def observe(self, s: Sensors, state: FeedingState):
         vector = s["mouth_pos"] - s["tool_pos"]
@@ -66,19 +78,45 @@ class Feeding:
         return {
             "reach": c.reach_scale * envelope(norm(vector)),
             "orientation": orientation(vector, up=-tool[:, 0], tip=tool[:, 2]),
-            "approach": approach(norm(s["tool_vel"]), norm(vector), c.speed),
+            "approach": approach(self.tool_speed(s, state), norm(vector), c.speed),
             "contact": boltzmann(norm(s["tool_force"]) / c.force),
         }
 
     def advance(self, s: Sensors, state: FeedingState) -> FeedingState:
         c = self.config
-        tool, vector = geometry.matrix(s["tool_quat"]), s["mouth_pos"] - s["tool_pos"]
-        upright, tip = -tool[2, 0], tool[:, 2]  # cosine of the tilt; unit vector
+        up, acceleration = -geometry.matrix(s["tool_quat"])[:, 0], self._acceleration(s, state)
+        upright = up @ geometry.unit(UP + acceleration / GRAVITY)  # cosine of the tilt
+        away = norm(s["mouth_pos"] - s["tool_pos"]) > c.spill_distance
+        tipped = state.tipped_seconds + self.dt * (away & (upright < jnp.cos(c.spill_angle)))
+        lost = (tipped > c.spill_seconds) | (upright < jnp.cos(c.spill_anywhere) - 1e-6)
+        if not c.spill_when_fed:
+            lost &= state.mouth_seconds < c.success_seconds
+        spilled = state.spilled | lost
+        eating = ~spilled & self._at_mouth(s) & (self.tool_speed(s, state) <= c.mouth_speed)
+        return FeedingState(spilled, state.mouth_seconds + self.dt * eating, tipped, s["tool_vel"], acceleration)
+
+    def _acceleration(self, s: Sensors, state: FeedingState):
+        """Of the bowl [3], in world axes, low-pass filtered: from its mean over the control step."""
+        if not self.config.filter_seconds:
+            return state.acceleration
+        share = 1.0 - exp(-self.dt / self.config.filter_seconds)
+        return state.acceleration + share * ((s["tool_vel"] - state.velocity) / self.dt - state.acceleration)
+
+    def _at_mouth(self, s: Sensors):
+        """Whether the bowl, between its middle and its tip, is at the mouth: in front, tip in, upper side up."""
+        c = self.config
+        tool, face = geometry.matrix(s["tool_quat"]), geometry.matrix(s["mouth_quat"])
+        vector, tip, ahead = s["mouth_pos"] - s["tool_pos"], tool[:, 2], face[:, 0]
         from_bowl = norm(vector - tip * jnp.clip(vector @ tip, 0.0, c.bowl))
-        tipped = (upright < jnp.cos(c.spill_angle)) & (norm(vector) > c.spill_distance)
-        spilled = state.spilled | tipped
-        eating = ~spilled & (from_bowl < c.mouth_distance)
-        return FeedingState(spilled, state.mouth_seconds + self.dt * eating)
+        cosines = jnp.stack([geometry.unit(-vector) @ ahead, -tip @ ahead, -tool[2, 0]])
+        return (from_bowl < c.mouth_distance) & (cosines >= jnp.cos(c.mouth_angle) - 1e-6).all()
+
+    def helping(self, s: Sensors, state: FeedingState):
+        """At the mouth, with the food."""
+        return self._at_mouth(s) & ~state.spilled
+
+    def tool_speed(self, s: Sensors, state: FeedingState):
+        return norm(tool_velocity(s, "head"))
 
     def outcomes(self, state: FeedingState):
         return {"mouth_seconds": state.mouth_seconds, "spilled": state.spilled.astype(jnp.float32)}
@@ -94,23 +132,43 @@ class Feeding:
         return s["mouth_pos"]
 
 
+_SCENE = SceneConfig(
+    "wheelchair",
+    "seated",
+    "spoon",
+    (0.65, 0.3, 0.32),
+    pi + 0.5,
+    NECK,
+    ready=(0.0, -1.3, 0.0, -2.4, 0.0, 2.671, 0.785),  # the spoon level, its tip toward the person
+    **MEAL_VIEW,
+)
+
 SPECS = (
     TaskSpec(
         "feeding",
         0,
         Feeding,
-        SceneConfig(
-            "wheelchair",
-            "seated",
-            "spoon",
-            (0.65, 0.3, 0.32),
-            pi + 0.5,
-            NECK,
-            ready=(0.0, -1.3, 0.0, -2.4, 0.0, 2.671, 0.785),  # the spoon level, its tip toward the person
-            **MEAL_VIEW,
+        _SCENE,
+        expert="assistax.policies.experts.feeding:FeedingExpert",
+        bound=4700,
+        preference_budget=1.88,
+    ),
+    TaskSpec(
+        "feeding",
+        1,
+        Feeding,
+        limited(_SCENE, "head"),
+        FeedingConfig(
+            mouth_angle=pi / 3,
+            mouth_speed=0.1,
+            spill_seconds=0.1,
+            spill_anywhere=pi / 2,
+            filter_seconds=0.05,
+            spill_when_fed=False,
         ),
         expert="assistax.policies.experts.feeding:FeedingExpert",
         bound=4700,
         preference_budget=1.88,
+        preferences_need_help=True,
     ),
 )

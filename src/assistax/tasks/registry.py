@@ -27,6 +27,8 @@ class TaskSpec:
     expert: str | None = None  # "module:function" that makes the scripted robot of (env, considerate), if there is one
     bound: float | None = None  # upper bound of the task's return in 1000 steps, if one is known
     preference_budget: float = 1.0  # what preferences pay per step at most
+    preferences_need_help: bool = False  # whether they pay only while the robot helps, see Task.helping
+    rest_pays: str | None = None  # the reward term that an episode which the task ends pays for the steps left, too
 
     def __post_init__(self):
         if not re.fullmatch(r"[a-z][a-z0-9_]*", self.name):

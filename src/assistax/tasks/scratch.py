@@ -13,12 +13,13 @@ import mujoco
 import numpy as np
 
 from assistax.pytree import pytree
-from assistax.scenes import RIGHT_ARM, SceneConfig, geometry
-from assistax.tasks.base import Sensors
+from assistax.scenes import RIGHT_ARM, SceneConfig, geometry, limited
+from assistax.tasks.base import Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import boltzmann, norm, reach
 
 SEGMENTS = ("upper_arm", "forearm")
+TOUCHING = 1e-3  # N, a contact; 0 up to rounding
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,7 @@ class ScratchConfig:
     height: tuple[float, float] = (-0.8, 0.8)
     angle: float = 1.0  # rad
     # What counts as scratching, and for how long it must last to be a success.
+    scratch_distance: float = 0.1  # m, from the tool point to the itch
     scratch_force: tuple[float, float] = (1.0, 6.0)  # N
     scratch_speed: tuple[float, float] = (0.03, 0.3)  # m/s
     success_seconds: float = 2.0
@@ -92,7 +94,7 @@ class Scratch:
     def reward_terms(self, s: Sensors, state: ScratchState):
         c = self.config
         distance = norm(self._to_itch(s, state))
-        speed, force = norm(s["tool_vel"]), norm(s["tool_force"])
+        speed, force = self.tool_speed(s, state), norm(s["tool_force"])
         moving, pressing = boltzmann(speed / c.speed), boltzmann(force / c.force)
         return {
             "reach": reach(distance),
@@ -101,11 +103,25 @@ class Scratch:
 
     def advance(self, s: Sensors, state: ScratchState) -> ScratchState:
         c = self.config
-        speed, force = norm(s["tool_vel"]), norm(s["tool_force"])
-        scratching = norm(self._to_itch(s, state)) < c.near
+        speed, force = self.tool_speed(s, state), norm(self._on_segment(s, state, tool_force))
+        scratching = norm(self._to_itch(s, state)) < c.scratch_distance
         scratching &= (c.scratch_force[0] <= force) & (force <= c.scratch_force[1])
         scratching &= (c.scratch_speed[0] <= speed) & (speed <= c.scratch_speed[1])
         return ScratchState(state.segment, state.itch, state.scratch_seconds + self.dt * scratching)
+
+    def helping(self, s: Sensors, state: ScratchState):
+        """On the itch, touching the segment that it is on."""
+        near = norm(self._to_itch(s, state)) < self.config.scratch_distance
+        return near & (norm(self._on_segment(s, state, tool_force)) > TOUCHING)
+
+    def tool_speed(self, s: Sensors, state: ScratchState):
+        return norm(self._on_segment(s, state, tool_velocity))
+
+    @staticmethod
+    def _on_segment(s: Sensors, state: ScratchState, of):
+        """`of(s, part)` for the segment that the itch is on."""
+        upper, fore = (of(s, segment) for segment in SEGMENTS)
+        return upper if upper is fore else jnp.where(state.segment == 0, upper, fore)
 
     def outcomes(self, state: ScratchState):
         return {"scratch_seconds": state.scratch_seconds}
@@ -120,14 +136,27 @@ class Scratch:
         return s["tool_pos"] + self._to_itch(s, state)
 
 
+_SCENE = SceneConfig("wheelchair", "seated", "scratcher", (0.75, 0.0, 0.0), pi, RIGHT_ARM)
+
 SPECS = (
     TaskSpec(
         "scratch",
         0,
         Scratch,
-        SceneConfig("wheelchair", "seated", "scratcher", (0.75, 0.0, 0.0), pi, RIGHT_ARM),
+        _SCENE,
         expert="assistax.policies.experts.scratch:ScratchExpert",
         bound=1000,
         preference_budget=1.0,
+    ),
+    TaskSpec(
+        "scratch",
+        1,
+        Scratch,
+        limited(_SCENE, *SEGMENTS),
+        ScratchConfig(angle=pi, scratch_distance=0.04),
+        expert="assistax.policies.experts.scratch:ScratchExpert",
+        bound=1000,
+        preference_budget=1.0,
+        preferences_need_help=True,
     ),
 )

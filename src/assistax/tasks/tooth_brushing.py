@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import mujoco
 
 from assistax.pytree import pytree
-from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry
-from assistax.tasks.base import Sensors
+from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry, limited
+from assistax.tasks.base import Sensors, tool_velocity
 from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import alignment, boltzmann, envelope, norm
 
@@ -26,6 +26,7 @@ class ToothBrushingConfig:
     speed: float = 0.1  # m/s, v* of the brush term
     force: float = 1.0  # N, f* of the brush term
     # What counts as brushing, and for how long in all it must last to be a success.
+    brush_angle: float = pi  # rad, from the bristles to straight into the face, at most
     brush_force: tuple[float, float] = (0.3, 3.0)  # N
     brush_speed: tuple[float, float] = (0.03, 0.3)  # m/s, across
     success_seconds: float = 2.0
@@ -61,7 +62,7 @@ class ToothBrushing:
     def _stroke(s: Sensors):
         """(distance to the mouth in m, speed across in m/s, force in N)."""
         vector = s["mouth_pos"] - s["tool_pos"]
-        towards, velocity = geometry.unit(vector), s["tool_vel"]
+        towards, velocity = geometry.unit(vector), tool_velocity(s, "head")
         return norm(vector), norm(velocity - (velocity @ towards) * towards), norm(s["tool_force"])
 
     def reward_terms(self, s: Sensors, state: ToothBrushingState):
@@ -77,11 +78,20 @@ class ToothBrushing:
 
     def advance(self, s: Sensors, state: ToothBrushingState) -> ToothBrushingState:
         c = self.config
-        distance, speed, force = self._stroke(s)
-        brushing = distance < c.near
+        _, speed, force = self._stroke(s)
+        brushing = self.helping(s, state)
         brushing &= (c.brush_force[0] <= force) & (force <= c.brush_force[1])
         brushing &= (c.brush_speed[0] <= speed) & (speed <= c.brush_speed[1])
         return ToothBrushingState(state.brush_seconds + self.dt * brushing)
+
+    def helping(self, s: Sensors, state: ToothBrushingState):
+        """The bristles are at the mouth and look into the face."""
+        bristle, ahead = -geometry.matrix(s["tool_quat"])[:, 0], geometry.matrix(s["mouth_quat"])[:, 0]
+        facing = -bristle @ ahead >= jnp.cos(self.config.brush_angle) - 1e-6
+        return facing & (norm(s["mouth_pos"] - s["tool_pos"]) < self.config.near)
+
+    def tool_speed(self, s: Sensors, state: ToothBrushingState):
+        return norm(tool_velocity(s, "head"))
 
     def outcomes(self, state: ToothBrushingState):
         return {"brush_seconds": state.brush_seconds}
@@ -96,14 +106,27 @@ class ToothBrushing:
         return s["mouth_pos"]
 
 
+_SCENE = SceneConfig("wheelchair", "seated", "toothbrush", (0.65, 0.3, 0.32), pi + 0.5, NECK, **MEAL_VIEW)
+
 SPECS = (
     TaskSpec(
         "tooth_brushing",
         0,
         ToothBrushing,
-        SceneConfig("wheelchair", "seated", "toothbrush", (0.65, 0.3, 0.32), pi + 0.5, NECK, **MEAL_VIEW),
+        _SCENE,
         expert="assistax.policies.experts.tooth_brushing:ToothBrushingExpert",
         bound=3140,
         preference_budget=1.256,
+    ),
+    TaskSpec(
+        "tooth_brushing",
+        1,
+        ToothBrushing,
+        limited(_SCENE, "head"),
+        ToothBrushingConfig(brush_angle=pi / 3),
+        expert="assistax.policies.experts.tooth_brushing:ToothBrushingExpert",
+        bound=3140,
+        preference_budget=1.256,
+        preferences_need_help=True,
     ),
 )

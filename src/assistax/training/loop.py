@@ -29,6 +29,7 @@ from assistax.training.run import Run
 from assistax.training.run_folder import check_checkpoint
 
 CHECKPOINT_SECONDS = 60.0
+_COMPILING = "Compiling, which takes some ten seconds."
 # Settings that may change while a run goes on: how long it lasts, how it is watched, what computes it.
 _FREE = {"steps", "evaluations", "evaluation_episodes", "deterministic", "engine", "env.num_threads", "partners"}
 
@@ -58,7 +59,6 @@ class _Training:
     def go(self) -> dict[str, Any] | None:
         run, per_iteration = self.run, self.run.steps_per_iteration
         with self.stop:
-            print("Compiling, which takes some ten seconds.", file=sys.stderr)
             state, done, self.clock = self._start()
             collect, improve = self.seeds.jit(self.trainer.collect), self.seeds.jit(self.trainer.improve)
             total = run.iterations * per_iteration * run.config.num_seeds
@@ -113,6 +113,7 @@ class _Training:
             run.write_config()
             for name in ("metrics", "evaluations"):  # of what a crash has left of a first line
                 journal.keep(run.folder, name, 0)
+            print(_COMPILING, file=sys.stderr)
             return self.seeds.init(self.trainer.init), 0, Clock({})
         about = check_checkpoint(path, run.config)
         _check_settings(run, about.get("settings", {}), path.name)
@@ -127,6 +128,7 @@ class _Training:
                 f"{run.folder} has been trained for {about['steps']} steps, which is more than --steps "
                 f"{run.config.steps}; name more steps, or leave --steps out."
             )
+        print(_COMPILING, file=sys.stderr)
         state = self.seeds.split(load_checkpoint(path, self.seeds.like(self.trainer.init)))
         run.write_config(about["steps"])
         for name in ("metrics", "evaluations"):

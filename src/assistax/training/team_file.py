@@ -25,13 +25,14 @@ TRAINED = Path(__file__).parents[1] / "trained"
 
 
 def trained_file(task: str) -> Path:
-    """The team that comes with the package."""
-    name = task_spec(task).id
-    path = TRAINED / f"{name}.safetensors"
-    if not path.exists():
-        there = [name for name in TASKS if (TRAINED / f"{name}.safetensors").exists()]
-        raise UsageError(f"No trained team comes with {name} yet; there is one for {', '.join(there) or 'none'}.")
-    return path
+    """The team that comes with the package for this task; for a bare name that of the newest version that has one."""
+    newest = task_spec(task)
+    versions = [newest] if task == newest.id else [spec for spec in TASKS.values() if spec.name == newest.name]
+    for spec in sorted(versions, key=lambda spec: spec.version, reverse=True):
+        if (path := TRAINED / f"{spec.id}.safetensors").exists():
+            return path
+    there = [name for name in TASKS if (TRAINED / f"{name}.safetensors").exists()]
+    raise UsageError(f"No trained team comes with {task} yet; there is one for {', '.join(there) or 'none'}.")
 
 
 def save_team(path: Path, team: Team, config: TrainConfig) -> None:
