@@ -1,19 +1,27 @@
 """Settings that cannot be are refused before anything is built, with one line that says why."""
 
+import json
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import assistax as assistax_command
 from PIL import Image
 from stored import small, stored_run, stored_team
 
 import assistax
+from assistax.cli.settings import listing, meanings
+from assistax.cli.sweep import sweep
+from assistax.cli.train import train
 from assistax.diagnostics.bench import check_seconds
 from assistax.errors import UsageError
 from assistax.evaluation.film import Camera, film
 from assistax.evaluation.statistics import bootstrap_ci
-from assistax.training.configuration import DEFAULT_STEPS, FLAGS, configure
+from assistax.human import HumanConfig
+from assistax.learning.algorithms import ALGORITHMS
+from assistax.results.stored import flat
+from assistax.training.configuration import DEFAULT_STEPS, FLAGS, configure, to_json
 from assistax.training.run import Run
 from assistax.training.sweep import Sweep
 from assistax.training.team_file import load_team
@@ -92,3 +100,36 @@ def test_help_readme_and_code_agree_on_the_steps():
         assert f"(default {words}" in text
     readme = Path(assistax.__file__).parents[2] / "README.md"
     assert f"{words} steps by default" in readme.read_text()
+
+
+def test_every_setting_is_listed_with_its_default_and_meaning():
+    """By name against the configurations themselves; what has a flag of its own is not there."""
+    for algorithm in ALGORITHMS:
+        config = configure("feeding", {}, algorithm=algorithm)
+        asked = json.loads(json.dumps(to_json(config)))
+        rows = listing("feeding", algorithm)
+        known = {name: value for name, value in flat(asked) if name not in {*FLAGS, "partner_copies"}}
+        assert rows.keys() == known.keys()
+        assert {name: json.loads(json.dumps(default)) for name, (default, _) in rows.items()} == known
+        assert not [name for name, (_, meaning) in rows.items() if not meaning and "task_config" not in name]
+
+
+def test_meanings_are_the_comments_above_and_behind():
+    found = meanings(HumanConfig)
+    assert found["visibility"] == 'who sees the preference: "both" (the paper), "human" or "none"'
+    assert found["preference"].startswith('"none": no preference reward;') and '"speed=0.05' in found["preference"]
+
+
+def test_the_command_lists_them_and_help_names_it():
+    lines = assistax_command("settings", "scratch").stdout.splitlines()
+    for name, (default, _) in listing("scratch").items():
+        assert [line for line in lines if line.startswith(f"{name}={default}")], name
+    assert {"ppo.gamma", "sac.tau", "env.human.people", "task_config.force"} < listing("scratch").keys()
+    assert not [name for name in listing() if name.startswith("task_config")]
+    stored = json.loads(
+        assistax_command("settings", "feeding", "--algorithm", "mappo", "--preset", "paper", "--json").stdout
+    )
+    assert stored["ppo.learning_rate"] == {"default": 1.54e-3, "meaning": "of Adam, for actors and critics"}
+    assert "sac.tau" not in stored
+    for command in (train, sweep):
+        assert "`assistax settings TASK` lists" in command.__doc__

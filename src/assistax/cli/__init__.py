@@ -17,6 +17,7 @@ from assistax.cli.play import play
 from assistax.cli.plot import plot
 from assistax.cli.render import render
 from assistax.cli.reproduce import reproduce
+from assistax.cli.settings import settings
 from assistax.cli.sweep import sweep
 from assistax.cli.table import table
 from assistax.cli.tasks import tasks
@@ -26,7 +27,7 @@ from assistax.errors import AssistaxError
 DESCRIPTION = "A robot arm and a person, both with policies of their own: train, evaluate, watch."
 COMMANDS = (
     *(train, sweep, play, evaluate, crossplay, render, table, plot),
-    *(export, reproduce, tasks, humans, doctor, bench),
+    *(export, reproduce, tasks, settings, humans, doctor, bench),
 )
 
 

@@ -59,7 +59,8 @@ def sweep(
       partner: frozen partners, as in `assistax train`.
       search: instead of or besides the paper's hyperparameters: an interval, drawn log-uniformly if it is above zero,
         or choices.
-      set: fix any setting, for example ppo.num_minibatches=8; it is then not searched.
+      set: fix any setting (`assistax settings TASK` lists them), for example ppo.num_minibatches=8; it is then not
+        searched.
       out: sweep folder (default runs/sweep-TASK-ALGORITHM-SEED, with a number if taken).
       side_by_side: trials that an accelerator trains at once (default: as many as there are seeds).
       resume: continue this sweep folder.

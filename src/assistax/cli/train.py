@@ -56,8 +56,9 @@ def train(
         several seeds, one per episode) plays it as it was trained.
       preset: hyperparameters: default, or paper for the paper's table.
       out: run folder (default runs/TASK-ALGORITHM-SEED, with a number if taken).
-      set: change any setting in config.json, for example ppo.gamma=0.98 or task_config.force=2. Who the
-        person is, see `assistax humans --help`: env.human.disability, .preference, .people, .visibility.
+      set: change any setting, for example ppo.gamma=0.98 or task_config.force=2; `assistax settings TASK` lists
+        them all with default and meaning. Who the person is, see `assistax humans --help`: env.human.disability,
+        .preference, .people, .visibility.
       resume: continue this run folder; --steps may prolong it.
     """
     from assistax.files import writing

@@ -31,8 +31,8 @@ class TrainConfig:
     num_seeds: int = 1
     partners: tuple[str, ...] = ()  # "human=still": frozen partners, see partners.py
     partner_copies: tuple[str, ...] = ()  # "human=SHA-256": trained partners that the run folder holds a copy of
-    evaluations: int = 10  # evenly over the training; the last is at its end and always made
-    evaluation_episodes: int = 64
+    evaluations: int = 10  # how many, evenly over the training; there is always one at its end
+    evaluation_episodes: int = 64  # of each evaluation
     deterministic: bool = True  # evaluate the mean action, not a sample
     env: EnvConfig = field(default_factory=EnvConfig)
     task_config: Any = None

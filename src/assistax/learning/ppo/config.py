@@ -12,27 +12,31 @@ class PPOConfig:
     central_critic: bool = False  # critics see the global state (MAPPO) instead of the agent's own observation (IPPO)
     recurrent: bool = False  # in actors a GRU of hidden[0] units in place of the first layer
     share_parameters: bool = False  # one actor and one critic for all learners, with who plays as an input
-    learning_rate: float = 3e-4
-    anneal_learning_rate: bool = False  # linearly to zero over the run
-    desired_kl: float = 0.0  # of an iteration: actors that move over twice as far slow down, see adapted_rate; 0: none
-    num_steps: int = 64  # per environment and iteration
-    update_epochs: int = 8
-    num_minibatches: int = 16
-    clip_eps: float = 0.2
+    learning_rate: float = 3e-4  # of Adam, for actors and critics
+    anneal_learning_rate: bool = False  # lower it linearly to zero over the run
+    desired_kl: float = 0.0  # per iteration; actors that move over twice as far learn slower, see adapted_rate; 0: off
+    num_steps: int = 64  # control steps per environment and iteration
+    update_epochs: int = 8  # passes over what an iteration has played
+    num_minibatches: int = 16  # gradient steps per pass
+    clip_eps: float = 0.2  # how far the probability ratio may be from 1 before its gradient stops
     clip_value: bool = False  # clip value changes like the policy's
-    entropy_coef: float = 1e-3
-    value_coef: float = 0.5
-    gamma: float = 0.99
-    gae_lambda: float = 0.95
-    max_grad_norm: float = 0.5  # per network
-    hidden: tuple[int, ...] = (128, 128)
-    activation: str = "tanh"
-    initial_log_std: float = 0.0
-    cost_limit: float | None = None  # of an episode's cost, its undiscounted sum, on average; None: no limit
-    multiplier_gains: tuple[float, ...] = (1.0, 0.05, 0.0)  # of its PID controller, see constraint.updated
+    entropy_coef: float = 1e-3  # weight of the entropy bonus in the loss
+    value_coef: float = 0.5  # weight of the critics' errors in the loss
+    gamma: float = 0.99  # discount per control step
+    gae_lambda: float = 0.95  # of generalised advantage estimation
+    max_grad_norm: float = 0.5  # the longest gradient, per network
+    hidden: tuple[int, ...] = (128, 128)  # units by layer, of actors and critics
+    activation: str = "tanh"  # tanh, relu, ... of the hidden layers
+    initial_log_std: float = 0.0  # of the actors' noise, natural logarithm
+    cost_limit: float | None = None  # on an episode's undiscounted cost, on average; None: no limit
+    multiplier_gains: tuple[float, ...] = (
+        1.0,
+        0.05,
+        0.0,
+    )  # P, I and D of its multiplier, see constraint.updated
     noise_correlation: float = 0.0  # of the exploration from step to step; begins anew with episode and rollout
-    correlated_steps: int = 0  # environment steps after which that is 0, as long runs need; 0: never
-    normalize_obs: bool = True
+    correlated_steps: int = 0  # environment steps after which noise_correlation is 0, as long runs need; 0: never
+    normalize_obs: bool = True  # by running mean and standard deviation
     stagger: bool = True  # start the environments at different times of their episodes
 
     def __post_init__(self):

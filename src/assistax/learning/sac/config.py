@@ -8,22 +8,22 @@ from assistax.learning.networks import ACTIVATIONS
 
 @dataclass(frozen=True)
 class SACConfig:
-    joint_critics: bool = True  # MASAC; without, ISAC
-    actor_learning_rate: float = 3e-4
-    critic_learning_rate: float = 1e-3
-    alpha_learning_rate: float = 3e-4  # of the temperatures
+    joint_critics: bool = True  # critics see both agents (MASAC) instead of their own alone (ISAC)
+    actor_learning_rate: float = 3e-4  # of Adam
+    critic_learning_rate: float = 1e-3  # of Adam
+    alpha_learning_rate: float = 3e-4  # of Adam, for the temperatures
     tau: float = 0.005  # share of the critics that moves into their targets at every update
-    num_steps: int = 8  # per environment and iteration
+    num_steps: int = 8  # control steps per environment and iteration
     updates: int = 32  # gradient steps per iteration
     batch_size: int = 512  # transitions per gradient step
-    gamma: float = 0.99
+    gamma: float = 0.99  # discount per control step
     buffer_size: int = 1_000_000  # transitions; about 0.5 GB, in memory and in every checkpoint
     warmup: int = 5_000  # transitions played with uniformly random actions, before the policy plays
-    initial_alpha: float = 1.0
+    initial_alpha: float = 1.0  # temperature: weight of the entropy beside the reward
     noise_correlation: float = 0.0  # of the exploration from one step to the next
-    hidden: tuple[int, ...] = (128, 128)
-    activation: str = "relu"
-    normalize_obs: bool = True
+    hidden: tuple[int, ...] = (128, 128)  # units by layer, of actors and critics
+    activation: str = "relu"  # tanh, relu, ... of the hidden layers
+    normalize_obs: bool = True  # by running mean and standard deviation
     stagger: bool = True  # start the environments at different times of their episodes
 
     def __post_init__(self):
