@@ -100,7 +100,7 @@ def test_presets_fall_back_to_the_default_row(package):
 def test_what_they_lack_is_refused_in_one_line(package, capsys):
     for args, words in {
         ("evaluate", "showing", "--policy", "expert"): "There is no scripted robot for showing-v0",
-        ("evaluate", "showing", "--policy", "trained"): "No trained team comes with showing-v0",
+        ("evaluate", "showing", "--policy", "trained"): "No trained team comes with showing",
         ("train", "showing", "--algorithm", "evolution", "--recurrent"): "--recurrent does not exist for evolution",
         ("train", "scratch", "--algorithm", "evolution", "--set", "ppo.gamma=1"): "ppo.gamma does not exist for evol",
     }.items():
