@@ -23,7 +23,7 @@ NAMES = ["scratch-v0", "bed_bath-v0", "arm_assist-v0", "feeding-v0", "tooth_brus
 
 @pytest.fixture(scope="module")
 def envs():
-    return {name: assistax.make(f"{name}-v0", engine="mujoco") for name in NAMES}
+    return {name: assistax.make(name, engine="mujoco") for name in NAMES}
 
 
 @pytest.mark.parametrize("site", ["tool_tip", "mouth", "wrist_target"])
@@ -128,7 +128,7 @@ def test_the_expert_asks_for_torque_control():
 
 @pytest.mark.parametrize("name", ["scratch-v0", "feeding-v0"])
 def test_the_considerate_expert_is_liked_more(name):
-    env = assistax.make(f"{name}-v0", engine="mujoco", human={"preference": "speed=0.03:0.05 force=1:1.5"})
+    env = assistax.make(name, engine="mujoco", human={"preference": "speed=0.03:0.05 force=1:1.5"})
     plain, considerate = (
         play(env, scripted_team(policy, env), episodes=3)["metrics"] for policy in ("expert", "considerate")
     )

@@ -264,7 +264,7 @@ def test_every_part_of_the_standard_settings_shows(moves):
 @pytest.mark.parametrize("task", NAMES)
 def test_a_reset_starts_within_narrow_limits(task):
     """Of the least motion that can be asked for, and with far more noise than the limits leave room for."""
-    env = assistax.make(f"{task}-v0", engine="mujoco", reset_noise=0.5, human={"disability": "motion=0.05"})
+    env = assistax.make(task, engine="mujoco", reset_noise=0.5, human={"disability": "motion=0.05"})
     start = jax.jit(jax.vmap(env._draw))(jax.random.split(jax.random.key(0), 64))
     limits, qpos = np.asarray(start.overrides["jnt_range"]), np.asarray(start.qpos)
     assert (limits[..., 0] <= qpos).all() and (qpos <= limits[..., 1]).all()
