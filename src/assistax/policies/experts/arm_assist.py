@@ -7,6 +7,9 @@ from assistax.scenes import geometry
 from assistax.tasks.rewards import UP, norm
 
 
+CARRYING = 0.6  # of the speed at which the forearm may be carried, if the task limits it
+
+
 class ArmAssistExpert(Expert):
     """Hook under the forearm where it hangs over the edge of the bed, lift it, carry it to the waist."""
 
@@ -34,10 +37,8 @@ class ArmAssistExpert(Expert):
         ])  # fmt: skip
         arrived = norm(ways[phase] - pos) < jnp.array([0.12, 0.02, 0.02, 0.0, 0.0])[phase]
         arrived |= (phase == 3) & (to_waist[2] < -0.02)
-        # With the forearm on it the hook keeps well below the speed at which the arm counts as thrown.
-        gentle = (jnp.inf, 0.3, 0.3, 0.3, 0.3)
-        speeds = jnp.minimum(jnp.array(self.speeds), jnp.array(gentle) * self.env.task.config.carrying_speed / 0.5)
-        speed = speeds[phase]
+        most = CARRYING * self.env.task.config.carrying_speed
+        speed = jnp.minimum(jnp.array(self.speeds)[phase], jnp.where(phase >= 2, most, jnp.inf))
         rocking = (phase == 4) & (norm(to_waist * LEVEL) < 0.1)
         angle = carry["angle"] + rocking * manner.stroke_speed * self.env.dt / self.radius
         offset, stroke = circle(angle, self.radius, manner.stroke_speed, jnp.eye(3)[0], jnp.eye(3)[1])
