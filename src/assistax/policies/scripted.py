@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from assistax.errors import choose
 from assistax.policies.experts import expert
-from assistax.policies.people import Reflex
+from assistax.policies.people import Offer, Reflex
 from assistax.policies.player import Player, Policy, Team
 
 
@@ -56,7 +56,10 @@ def scripted_policy(name: str, env, agent: str) -> Policy:
     if agent == "robot":
         makers |= {"expert": lambda: expert(env), "considerate": lambda: expert(env, considerate=True)}
     else:
-        makers |= {"offer": lambda: Reflex(env, 1.0), "withdraw": lambda: Reflex(env, -1.0)}
+        makers |= {
+            "offer": lambda: Offer(env) if env.spec.scene.worked_on else Reflex(env, 1.0),
+            "withdraw": lambda: Reflex(env, -1.0),
+        }
     return makers[choose(f"{agent}'s policy", name, makers)]()
 
 

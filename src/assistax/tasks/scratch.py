@@ -82,6 +82,13 @@ class Scratch:
         quat = jnp.where(on_upper, s["upper_arm_quat"], s["forearm_quat"])
         return pos + geometry.rotate(quat, state.itch) - s["tool_pos"]
 
+    def skin(self, s: Sensors, state: ScratchState):
+        """The itch [3] and the unit vector [3] that points out of the skin there, in world axes."""
+        on_upper = state.segment == 0
+        quat = jnp.where(on_upper, s["upper_arm_quat"], s["forearm_quat"])
+        axis, arm = self._axis[state.segment], state.itch - self._centre[state.segment]
+        return s["tool_pos"] + self._to_itch(s, state), geometry.rotate(quat, geometry.unit(arm - axis * (axis @ arm)))
+
     def observe(self, s: Sensors, state: ScratchState):
         vector = self._to_itch(s, state)
         return {

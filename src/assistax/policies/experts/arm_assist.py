@@ -6,7 +6,6 @@ from assistax.policies.experts.controller import LEVEL, Expert, Goal, circle
 from assistax.scenes import geometry
 from assistax.tasks.rewards import UP, norm
 
-
 CARRYING = 0.6  # of the speed at which the forearm may be carried, if the task limits it
 
 
