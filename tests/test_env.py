@@ -148,7 +148,7 @@ def test_reward_terms_equal_the_papers_formulas_in_float64(scratch):
 def test_work_and_force_over_the_limit_are_sums_over_mujocos_own_numbers(scratch):
     """Torque times speed of every actuated joint, in J, and the seconds in which the robot pushes too hard."""
     limit = 1.0
-    env = assistax.make("scratch", engine="mujoco", episode_length=20, force_limit=limit)
+    env = assistax.make("scratch-v0", engine="mujoco", episode_length=20, force_limit=limit)
     work, over, peak, metrics = {"robot": 0.0, "human": 0.0}, 0.0, 0.0, {}
     for before, actions, _, _, _, info in rollout_states(env, 15, start_touching=True):
         data, model = mujoco_says(env, before, actions), env.model
