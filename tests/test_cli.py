@@ -57,7 +57,7 @@ def test_a_run_folder_holds_what_it_promises(run):
     summary = json.loads((run / "summary.json").read_text())
     wanted = {"task", "algorithm", "preset", "steps", "seeds", "success_rate", "mean_return"}
     assert wanted | {"env_steps_per_s", "hardware", "versions", "commit"} <= set(summary)
-    assert summary["steps"] == 640 and summary["task"] == "scratch-v0"
+    assert summary["steps"] == 640 and summary["task"] == "scratch-v1"
     rows = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     assert [row["steps"] for row in rows] == [64 * i for i in range(1, 11)]
     for name in ("learning_curve.png", "rollout.mp4", "config.json"):
@@ -131,9 +131,9 @@ def test_an_interrupted_run_goes_on(tmp_path):
         (["render", "scratch", "--policy", "still", "--out", "a.bmp"], "Can write .mp4, .webp, .gif, .png"),
         (["bench", "scratch", "--num-envs", "0"], "num_envs must be 1 or more"),
         (["crossplay", "still", "expert"], "scripted teams alone"),
-        (["crossplay", "scratch"], "two teams or more"),
-        (["crossplay", "scratch", "feeding"], "one task"),
-        (["crossplay", "scratch", "nowhere"], "neither a run folder, nor a team file, nor a task"),
+        (["crossplay", "scratch-v0"], "two teams or more"),
+        (["crossplay", "scratch-v0", "feeding-v0"], "one task"),
+        (["crossplay", "scratch-v0", "nowhere"], "neither a run folder, nor a team file, nor a task"),
         (["crossplay", "scratch", "still", "--out", "a.gif"], "Can write .png, .svg, .pdf"),
     ],
 )

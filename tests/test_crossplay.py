@@ -34,7 +34,7 @@ class Steady:
 
 def test_rows_are_robots_and_columns_persons_with_their_bodies(scratch):
     """Against pairs put together by hand."""
-    envs = (scratch, assistax.make("scratch", engine="mujoco", episode_length=20, human={"disability": "tremor"}))
+    envs = (scratch, assistax.make("scratch-v0", engine="mujoco", episode_length=20, human={"disability": "tremor"}))
     does = [{agent: jnp.full(n, much) for agent, n in scratch.action_sizes.items()} for much in (0.7, -0.5)]
     teams = [{agent: Player.of(Steady(), params[agent]) for agent in params} for params in does]
     entrants = [Entrant(*one) for one in zip(("up", "down"), envs, teams, strict=True)]
@@ -88,11 +88,11 @@ def test_what_cannot_meet_is_one_line(scratch):
     with pytest.raises(UsageError, match="two teams"):
         cross_play([still])
     for settings, words in [
-        ({"task": "feeding"}, "task is scratch-v0 in still and feeding-v0 in expert"),
+        ({"task": "feeding-v0"}, "task is scratch-v0 in still and feeding-v0 in expert"),
         ({"torque_scale": 0.5}, "env.torque_scale is 0.3 in still and 0.5 in expert"),
         ({"success_seconds": 1.0}, "task_config.success_seconds is 2.0 in still and 1.0 in expert"),
     ]:
-        other = assistax.make(**{"task": "scratch", "engine": "mujoco", "episode_length": 20} | settings)
+        other = assistax.make(**{"task": "scratch-v0", "engine": "mujoco", "episode_length": 20} | settings)
         with pytest.raises(UsageError, match=words):
             cross_play([still, entrant("expert", other)])
     wishing = assistax.make("scratch-v0", engine="mujoco", episode_length=20, human={"preference": "sweep"})

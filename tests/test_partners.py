@@ -107,7 +107,7 @@ def test_a_partner_of_another_task_is_refused(tmp_path, make):
     """The person of scratch observes and does as much as that of bed bath."""
     there = make(tmp_path / "there")
     for task in ("bed_bath", "feeding"):
-        with pytest.raises(UsageError, match=f"trained for scratch-v0 and cannot play the human in {task}-v0") as error:
+        with pytest.raises(UsageError, match=f"trained for scratch-v1 and cannot play the human in {task}-v1") as error:
             Run.create(small(task, partners=(f"human={there}",)), tmp_path / "run")
         assert "\n" not in str(error.value) and not (tmp_path / "run").exists()
 

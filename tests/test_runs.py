@@ -187,10 +187,10 @@ def test_kill_9_loses_at_most_the_work_since_the_last_checkpoint(tmp_path):
     folders = [tmp_path / name for name in ("killed", "alone")]
     settings = SMALL | {"evaluations": 4, "evaluation_episodes": 3}
     for folder in folders:
-        Run.create(configure("scratch", settings, recurrent=True, num_envs=8, steps=64 * 200), folder)
+        Run.create(configure("scratch", settings, recurrent=True, num_envs=8, steps=64 * 60), folder)
     process = subprocess.Popen([sys.executable, "-c", TRAIN, folders[0]], stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 200
-    while not list((folders[0] / "checkpoints").glob("*.safetensors")):
+    while max((folders[0] / "checkpoints").glob("*.safetensors"), default=Path("step_0")).stem.strip("step_0") == "":
         assert process.poll() is None and time.monotonic() < deadline
         time.sleep(0.05)
     time.sleep(random.random() * 0.2)
@@ -199,7 +199,7 @@ def test_kill_9_loses_at_most_the_work_since_the_last_checkpoint(tmp_path):
     metrics = folders[0] / "metrics.jsonl"
     done = journal.read(folders[0], "metrics")[-1]["steps"]
     saved = max((folders[0] / "checkpoints").glob("*.safetensors"))
-    assert 0 < int(saved.stem.split("_")[1]) <= done < 64 * 200
+    assert 0 < int(saved.stem.split("_")[1]) <= done < 64 * 60
     with open(metrics, "a") as file:
         file.write('{"steps": 999')  # a line that the kill tore
     for folder in folders:
@@ -209,7 +209,7 @@ def test_kill_9_loses_at_most_the_work_since_the_last_checkpoint(tmp_path):
     for name in alone:
         np.testing.assert_array_equal(killed[name], alone[name], err_msg=name)
     rows = [[r["episode"]["return"] for r in journal.read(f, "metrics")] for f in folders]
-    assert len(rows[0]) == 200 and rows[0] == rows[1]
+    assert len(rows[0]) == 60 and rows[0] == rows[1]
     evaluations = [journal.read(f, "evaluations") for f in folders]
     assert len(evaluations[0]) == 4 and evaluations[0] == evaluations[1]
     spent = json.loads((folders[1] / "summary.json").read_text())["seconds"]
