@@ -12,6 +12,7 @@ from kinematics import solve, touching_pose
 
 import assistax
 from assistax import scenes
+from assistax.errors import UsageError
 from assistax.human import harm
 from assistax.physics import make_engine
 from assistax.tasks import task_spec
@@ -454,3 +455,8 @@ def test_full_action_for_a_second_keeps_joints_within_their_speeds(name):
             fastest = np.maximum(fastest, np.abs(data.qvel[ids]) / limit)
     assert (fastest[:7] > 0.85).any()
     assert fastest.max() < 1.05, dict(zip(names, fastest.round(3), strict=True))
+
+
+def test_an_engine_that_gets_the_brakes_wrong_is_refused():
+    with pytest.raises(UsageError, match="mjx engine cannot keep scratch-v1 to its joint speeds"):
+        assistax.make("scratch", engine="mjx")

@@ -105,6 +105,9 @@ class Env:
             contacts_per_env=config.contacts_per_env,
             constraints_per_env=config.constraints_per_env,
         )
+        if self.engine.name == "mjx" and scene.speed_limits:
+            # MJX's implicit integration damps by brakes that are off, too: speeds are wrong by up to 1 rad/s.
+            raise UsageError(f"The mjx engine cannot keep {self.name} to its joint speeds; take mujoco, warp or a -v0.")
         self.episode_length = config.episode_length
         self.dt = float(model.opt.timestep * config.substeps)  # s per control step
         self.task = self.spec.task(task_config or self.spec.config, model, self.dt)

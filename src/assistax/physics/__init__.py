@@ -8,7 +8,7 @@ from assistax.physics.engine import Engine, PhysicsState, check_faults
 ENGINES = {
     "mujoco": "MuJoCo in C on all CPU cores (default without a GPU)",
     "warp": "MJX-Warp, for NVIDIA GPUs (default where one is found; also runs on CPUs, slowly)",
-    "mjx": "MJX in pure JAX, for TPUs and for gradients",
+    "mjx": "MJX in pure JAX, for TPUs; version 0 of the tasks only",
 }
 
 

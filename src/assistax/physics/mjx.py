@@ -1,4 +1,4 @@
-"""MJX as pure JAX functions: Warp kernels (NVIDIA GPUs, CPUs) and pure JAX (TPUs, gradients)."""
+"""MJX as pure JAX functions: Warp kernels (NVIDIA GPUs, CPUs) and pure JAX (TPUs)."""
 
 import copy
 import io
@@ -102,7 +102,7 @@ class WarpEngine(_MjxBase):
 
 
 class MjxEngine(_MjxBase):
-    """MJX in pure JAX. `step` is differentiable; `init` and `reinit` are not.
+    """MJX in pure JAX. Its solver loops until it has converged, so that JAX cannot differentiate it in reverse mode.
 
     It has no net-force contact sensors, so they are computed here from the contact list.
     """
