@@ -48,6 +48,9 @@ def test_what_has_a_flag_is_not_set_by_name(name, tmp_path):
         ({"env.num_threads": -2}, "env.num_threads must be 0 or more"),
         ({"ppo.learning_rate": math.inf}, "ppo.learning_rate must be a finite number, not inf"),
         ({"ppo.entropy_coef": math.nan}, "ppo.entropy_coef must be a finite number"),
+        ({"ppo.learning_rate": 10**400}, "ppo.learning_rate must be a finite number"),
+        ({"ppo.value_coef": -1}, "ppo.value_coef must be 0 or more"),
+        ({"evaluations": -1}, "evaluations must be 1 or more"),
         ({"task_config.force": math.inf}, "task_config.force must be a finite number"),
     ],
 )
@@ -64,7 +67,11 @@ def test_the_rest_that_was_taken_though_wrong(tmp_path):
         Camera("scratch", width=0)
     with pytest.raises(UsageError, match=r"ppo\.nosuch"):
         Sweep.create(small(), tmp_path / "sweep", 2, {"ppo.nosuch": "1:2"})
-    assert bootstrap_ci([3.0]) is None
+    with pytest.raises(UsageError, match="preset is chosen by --preset"):
+        Sweep.create(small(), tmp_path / "sweep", 2, {"preset": "default,paper"})
+    with pytest.raises(UsageError, match=r"sac\.hidden must be the sizes"):
+        configure("scratch", {"sac.hidden": (-4,)}, algorithm="masac")
+    assert bootstrap_ci([3.0]) is None and not (tmp_path / "sweep").exists()
 
 
 def test_a_film_is_as_fast_as_what_it_shows(tmp_path, monkeypatch):

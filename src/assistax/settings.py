@@ -3,6 +3,7 @@
 import ast
 import dataclasses
 import math
+import sys
 import types
 import typing
 from collections.abc import Iterable, Mapping
@@ -82,7 +83,7 @@ def _cast(name: str, hint: Any, value: Any) -> Any:
             raise UsageError(f"{name} takes {len(inner)} values, not {len(value)}.")
         return tuple(_cast(name, inner[0], v) for v in value)
     if kind is float and isinstance(value, int | float) and not isinstance(value, bool):
-        if not math.isfinite(value):
+        if abs(value) > sys.float_info.max or not math.isfinite(value):
             raise UsageError(f"{name} must be a finite number, not {value}.")
         return float(value)
     if kind is int and isinstance(value, float) and value.is_integer():

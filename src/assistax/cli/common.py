@@ -9,7 +9,7 @@ import tyro
 from tyro.conf import arg
 from tyro.constructors import PrimitiveConstructorSpec
 
-from assistax.errors import UsageError
+from assistax.errors import UsageError, choose
 
 Task = Annotated[str, tyro.conf.Positional]
 Target = Annotated[str, tyro.conf.Positional, arg(metavar="RUN|TASK")]
@@ -43,7 +43,7 @@ def whole_number(text: str) -> int:
 def teams_of(target: str, policy: str | None, engine: str | None, assignments: tuple[str, ...]):
     """(env, teams by seed, what they are) of a run folder, a team file, or a task with a policy's name."""
     from assistax.env import Env
-    from assistax.policies import scripted_team
+    from assistax.policies import SCRIPTED, scripted_team
     from assistax.settings import parse_assignments
     from assistax.tasks import TASKS, is_task, task_spec
     from assistax.training.configuration import configure
@@ -57,6 +57,7 @@ def teams_of(target: str, policy: str | None, engine: str | None, assignments: t
             print(f"No trained team comes with {newest} yet: this is the one of {env.name}.", file=sys.stderr)
         return env, [team], {"task": env.name, "policy": policy}
     if policy is not None:
+        choose("policy", policy, ["trained", *SCRIPTED])
         config = configure(target, settings, engine=engine)
         env = Env(target, config.engine, config.env, config.task_config)
         return env, [scripted_team(policy, env)], {"task": env.name, "policy": policy}

@@ -47,7 +47,7 @@ class TrainConfig:
                 raise UsageError(f"{self.group}.{name} is {value} for {self.algorithm}; change --algorithm, not it.")
         if self.steps < 1:
             raise UsageError(f"steps must be 1 or more, not {self.steps}.")
-        for name in ("num_envs", "num_seeds", "evaluation_episodes"):
+        for name in ("num_envs", "num_seeds", "evaluations", "evaluation_episodes"):
             check_count(name, getattr(self, name))
         check_count(f"num_envs x {self.group}.num_steps", self.num_envs * self.method.num_steps)
         for seed in (self.seed, self.seeds[-1]):
@@ -91,7 +91,7 @@ def check_settings(settings: Iterable[str]) -> None:
     """Raise UsageError for settings that have a flag of their own, or that no one sets."""
     for name in settings:
         if name in FLAGS:
-            raise UsageError(f"{name} is chosen by {FLAGS[name]}, not by --set.")
+            raise UsageError(f"{name} is chosen by {FLAGS[name]}, not as a setting.")
         if name == "partner_copies":
             raise UsageError("partner_copies is written by the program; leave it out.")
 

@@ -39,7 +39,7 @@ from assistax.settings import with_settings
 from assistax.stamp import stamp, stamp_changes
 from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint
 from assistax.training.clock import Clock, Stop, progress_bar
-from assistax.training.configuration import TrainConfig, stored_config, to_json
+from assistax.training.configuration import TrainConfig, check_settings, stored_config, to_json
 from assistax.training.loop import CHECKPOINT_SECONDS
 from assistax.training.partners import keep_partners
 from assistax.training.run import Run
@@ -59,6 +59,7 @@ class Sweep:
         self.folder, self.config, self.search, self.drawn = folder, config, dict(search), list(drawn)
         self.seeds = range(config.seed, config.seed + config.num_seeds)
         inputs = {f"{config.group}.{name}" for name in tunable(config.method)}
+        check_settings(search)
         for name in search:  # so that a name that does not exist is reported as such, not as one that takes choices
             with_settings(config, {name: _value(config, name)})
         if compiled_in := set(intervals(search)) - inputs:

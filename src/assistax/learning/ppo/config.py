@@ -46,6 +46,9 @@ class PPOConfig:
         for name in ("learning_rate", "clip_eps", "max_grad_norm"):
             if getattr(self, name) <= 0:
                 raise UsageError(f"ppo.{name} must be above 0, not {getattr(self, name)}.")
+        for name in ("value_coef", "entropy_coef"):
+            if getattr(self, name) < 0:
+                raise UsageError(f"ppo.{name} must be 0 or more, not {getattr(self, name)}.")
         for name in ("gamma", "gae_lambda"):
             if not 0 <= getattr(self, name) <= 1:
                 raise UsageError(f"ppo.{name} must be in [0, 1], not {getattr(self, name)}.")

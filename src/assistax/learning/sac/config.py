@@ -41,4 +41,6 @@ class SACConfig:
             raise UsageError(f"sac.gamma must be in [0, 1], not {self.gamma}.")
         if not 0 <= self.noise_correlation < 1:
             raise UsageError(f"sac.noise_correlation must be in [0, 1), not {self.noise_correlation}.")
+        if not self.hidden or not all(size > 0 for size in self.hidden):
+            raise UsageError(f"sac.hidden must be the sizes of one layer or more, not {self.hidden}.")
         choose("activation", self.activation, ACTIVATIONS)
