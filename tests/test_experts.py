@@ -113,7 +113,7 @@ def test_offering_brings_the_person_nearer_than_withdrawing(envs, name):
 
 def test_every_scripted_team_plays(envs):
     env = assistax.make("feeding-v0", engine="mujoco", episode_length=5)
-    assert set(SCRIPTED) == {"still", "random", "expert", "considerate", "offer", "withdraw"}
+    assert set(SCRIPTED) == {"still", "random", "expert", "considerate", "offer", "offer_slowly", "withdraw"}
     for name in ("random", "offer"):
         assert np.isfinite(play(env, scripted_team(name, env), 2)["metrics"]["return"]).all()
     with pytest.raises(UsageError, match="Did you mean 'expert'"):

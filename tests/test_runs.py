@@ -158,7 +158,7 @@ def test_a_partner_comes_from_a_run(evaluated, tmp_path):
     [
         ("dog=still", "Unknown agent 'dog'"),
         ("human", "AGENT=WHO"),
-        ("human=expert", "Known: still, random, offer, withdraw. Or name a run folder"),
+        ("human=expert", "Known: still, random, offer, offer_slowly, withdraw. Or name a run folder"),
         ("human=still,robot=still", "leave one to learn"),
     ],
 )

@@ -113,6 +113,16 @@ def resting(config):
     return tuple(set(scenes.POSTURES[config.posture].held) - set(config.human_driven))
 
 
+def stopped(config):
+    """Limits in rad by joint: where shoulders that are not driven are stopped a little below rest."""
+    if not config.supported:
+        return {}
+    rest = dict(zip(scenes.HUMAN_JOINTS, scenes.POSTURES[config.posture].rest, strict=True))
+    free = set(scenes.HUMAN_JOINTS) - set(config.human_driven) - set(resting(config))
+    down = {"right_shoulder1": 1, "right_shoulder2": -1, "left_shoulder1": -1, "left_shoulder2": 1}
+    return {name: (sign, rest[name] + sign * 0.005) for name, sign in down.items() if name in free}
+
+
 def test_human_masses_and_ranges(scene):
     config, model = scene
     total = 0.0
@@ -127,6 +137,9 @@ def test_human_masses_and_ranges(scene):
         if name in resting(config):
             angle = start(model).qpos[scenes.qpos_ids(model, (name,))[0]]
             limits = (angle, limits[1])
+        if name in stopped(config):
+            sign, stop = stopped(config)[name]
+            limits = (stop, limits[1]) if sign < 0 else (limits[0], stop)
         assert model.joint(name).range == pytest.approx(limits, abs=1e-4), name
 
 
@@ -178,12 +191,32 @@ def test_start_pose(scene):
         assert data.qpos[ids] == pytest.approx(scenes.PANDA.ready)
     margin = np.minimum(data.qpos - model.jnt_range[:, 0], model.jnt_range[:, 1] - data.qpos)
     at_limit = scenes.qpos_ids(model, resting(config))
-    assert np.delete(margin, at_limit).min() > 0.01  # the reset noise of 0.005 stays inside
+    near = scenes.qpos_ids(model, tuple(stopped(config)))
+    assert np.delete(margin, [*at_limit, *near.astype(int)]).min() > 0.01  # the reset noise of 0.005 stays inside
     assert margin[at_limit] == pytest.approx(0.0, abs=1e-6)
     assert min(data.contact.dist, default=0) > -0.002
     assert 1 not in model.geom_contype[data.contact.geom]  # the robot hovers
     arm_driven = "right_elbow" in config.human_driven
     assert (len(data.contact) > 0) == arm_driven  # an arm that can be lifted lies on something
+
+
+def test_an_arm_that_is_not_driven_does_not_sink_into_the_furniture(scene):
+    """10 N from above, for two seconds: 61 to 196 mm in version 0, whose shoulders are springs alone."""
+    config, model = scene
+    for side in ("right", "left"):
+        if not config.supported or set(scenes.RIGHT_ARM if side == "right" else scenes.LEFT_ARM) & set(
+            config.human_driven
+        ):
+            continue
+        for part in ("upper_arm", "forearm", "hand"):
+            data, geom = start(model), model.geom(f"{side}_{part}").id
+            before = data.geom_xpos[geom].copy()
+            for _ in range(1000):
+                data.qfrc_applied[:] = 0.0
+                place, body = data.geom_xpos[geom], model.geom_bodyid[geom]
+                mujoco.mj_applyFT(model, data, np.array([0, 0, -10.0]), np.zeros(3), place, body, data.qfrc_applied)
+                mujoco.mj_step(model, data)
+            assert np.linalg.norm(data.geom_xpos[geom] - before) < 0.005
 
 
 def test_resting_person_and_robot_stay(scene):

@@ -130,9 +130,9 @@ def target_blocks(vector, rotation=None):
 
 def bed_bath_truth(env, truth, memory):
     points = []
-    for body, local in zip(("right_upper_arm", "right_forearm"), np.asarray(env.task.points), strict=True):
+    for body, local in zip(("right_upper_arm", "right_forearm"), env.task.points, strict=True):
         frame = truth.data.body(body)
-        points.append(frame.xpos + local.astype(float) @ frame.xmat.reshape(3, 3).T)
+        points.append(frame.xpos + np.asarray(local, float) @ frame.xmat.reshape(3, 3).T)
     vectors = np.concatenate(points) - truth.tool
     distance = np.linalg.norm(vectors, axis=1)
     visited = memory.setdefault("visited", np.zeros(52, bool))
@@ -283,7 +283,7 @@ def test_suprema_are_reached(envs, name):
         s |= {"tool_pos": s[f"{segment}_pos"] + task.itch, "tool_vel": jnp.array([0.1, 0, 0])}
         s["tool_force"] = jnp.array([0, 0, 3.0])
     elif name == "bed_bath":
-        s["tool_pos"] = s["forearm_pos"] + env.task.points[1, 0]
+        s["tool_pos"] = s["forearm_pos"] + env.task.points[1][0]
         task = dataclasses.replace(task, visited=jnp.ones(52, bool), newly=jnp.int32(52))
     elif name == "arm_assist":
         s["tool_pos"] = s["waist_target_pos"] = s["wrist_target_pos"]
@@ -319,9 +319,9 @@ def bath_points(env):
     """World positions [2, 26, 3] and outward normals of the points at rest, and MjData."""
     data = rest(env.model)
     points, normals = [], []
-    for body, local in zip(("right_upper_arm", "right_forearm"), np.asarray(env.task.points), strict=True):
+    for body, local in zip(("right_upper_arm", "right_forearm"), env.task.points, strict=True):
         frame, geom = data.body(body), data.geom(body)
-        world = frame.xpos + local.astype(float) @ frame.xmat.reshape(3, 3).T
+        world = frame.xpos + np.asarray(local, float) @ frame.xmat.reshape(3, 3).T
         inside = (world - geom.xpos) @ geom.xmat.reshape(3, 3)
         inside[:, 2] = 0
         normals.append(inside / np.linalg.norm(inside, axis=1, keepdims=True) @ geom.xmat.reshape(3, 3).T)

@@ -133,29 +133,98 @@ def test_the_wrong_side_of_the_arm_does_not_itch():
         assert bool(play(env, s, state).scratch_seconds > 0) == counts
 
 
+def test_itches_are_uniform_over_all_of_the_skin_between_shoulder_and_wrist():
+    env, _ = at_rest("scratch")
+    states = jax.vmap(env.task.reset)(jax.random.split(jax.random.key(0), 4000))
+    height, angle = jax.vmap(env.task.place)(states)
+    limbs = [scenes.geometry.capsule(env.model, f"right_{part}") for part in ("upper_arm", "forearm")]
+    for x, span in ((np.asarray(height), 1.0), (np.asarray(angle), np.pi)):
+        counts, _ = np.histogram(x, 8, (-span, span))
+        assert counts.sum() == 4000 and abs(counts - 500).max() < 100
+    skin = np.array([limb.radius * limb.half_length for limb in limbs])
+    assert np.mean(states.segment) == pytest.approx(skin[1] / skin.sum(), abs=0.03)
+    for i in range(20):
+        limb, itch = limbs[int(states.segment[i])], np.asarray(states.itch[i], float)
+        along = (itch - limb.centre) @ limb.axis
+        assert np.linalg.norm(itch - limb.centre - along * limb.axis) == pytest.approx(limb.radius, abs=1e-6)
+        assert along / limb.half_length == pytest.approx(float(height[i]), abs=1e-5)
+
+
 # -- bed bath --------------------------------------------------------------------------------------
+
+
+def dirty_all_over(env):
+    state = env.task.reset(jax.random.key(0))
+    return dataclasses.replace(state, dirty=jnp.ones(52, bool), visited=jnp.zeros(52, bool))
 
 
 def washing(env, s, point, force=5.0, speed=0.1):
     frame = np.asarray(scenes.geometry.matrix(jnp.asarray(s["forearm_quat"][0])))
     s = dict(s)
-    s["tool_pos"] = s["forearm_pos"] + frame @ np.asarray(env.task.points[1, point])
+    s["tool_pos"] = s["forearm_pos"] + frame @ np.asarray(env.task.points[1][point])
     s["tool_force_forearm"], s["tool_vel_forearm"] = np.array([[0, 0, force]]), np.array([[speed, 0, 0.0]])
     return s
 
 
 def test_a_point_is_washed_after_80_ms_of_rubbing_and_one_touch_of_the_pad_washes_none():
     env, s = at_rest("bed_bath")
-    rub = washing(env, s, 4)
-    assert not play(env, repeated(rub, 1)).visited.any()  # one 8 ms contact, eleven points in version 0
-    nine = play(env, repeated(rub, 9))
+    rub, all_dirty = washing(env, s, 4), dirty_all_over(env)
+    assert not play(env, repeated(rub, 1), all_dirty).visited.any()  # one 8 ms contact, eleven points in version 0
+    nine = play(env, repeated(rub, 9), all_dirty)
     assert not nine.visited.any()
     ten = play(env, rub, nine)
     far = np.linalg.norm(np.asarray(env.task.to_points({k: jnp.asarray(x[0]) for k, x in rub.items()})), axis=1)
-    np.testing.assert_array_equal(np.flatnonzero(ten.visited), [i for i in range(26, 52) if far[i] < 0.05])
+    np.testing.assert_array_equal(np.flatnonzero(ten.visited), [i for i in range(29, 52) if far[i] < 0.05])
     assert ten.newly == ten.visited.sum() > 0 and play(env, rub, ten).newly == 0
     for force, speed in ((0.4, 0.1), (16.0, 0.1), (5.0, 0.01), (5.0, 1.2)):
-        assert not play(env, repeated(washing(env, s, 4, force, speed), 50)).visited.any()
+        assert not play(env, repeated(washing(env, s, 4, force, speed), 50), all_dirty).visited.any()
+
+
+def test_bath_points_lie_evenly_all_around_both_segments():
+    env, _ = at_rest("bed_bath")
+    areas = []
+    for body, points, normals in zip(
+        ("right_upper_arm", "right_forearm"), env.task.points, env.task.normals, strict=True
+    ):
+        limb = scenes.geometry.capsule(env.model, body)
+        off = np.asarray(points, float) - limb.centre
+        height = off @ limb.axis
+        square = off - height[:, None] * limb.axis
+        np.testing.assert_allclose(np.linalg.norm(square, axis=1), limb.radius, atol=1e-6)
+        np.testing.assert_allclose(square / limb.radius, normals, atol=1e-5)
+        assert np.abs(height).max() < limb.half_length
+        apart = np.linalg.norm(off[:, None] - off, axis=-1) + np.eye(len(off))
+        assert apart.min() > 0.03 and apart.min(1).max() < 0.055
+        # Nowhere on the skin is a point further than 5 cm.
+        turns, along = np.meshgrid(np.linspace(0, 2 * np.pi, 40), np.linspace(-1, 1, 20) * limb.half_length)
+        other = np.cross(limb.axis, square[0] / limb.radius)
+        around = np.cos(turns)[..., None] * square[0] + np.sin(turns)[..., None] * limb.radius * other
+        skin = along[..., None] * limb.axis + around
+        assert np.linalg.norm(skin[:, :, None] - off, axis=-1).min(-1).max() < 0.05
+        areas.append(limb.radius * limb.half_length / len(off))
+    assert max(areas) < 1.05 * min(areas)
+
+
+def test_a_third_of_the_arm_is_dirty_on_a_side_that_the_reset_draws_and_the_rest_counts_for_nothing():
+    env, s = at_rest("bed_bath")
+    states = jax.vmap(env.task.reset)(jax.random.split(jax.random.key(0), 500))
+    dirty = np.asarray(states.dirty)
+    assert (dirty.sum(1) >= 14).all() and (dirty.sum(1) <= 21).all()
+    assert np.abs(dirty.mean(0) - 1 / 3).max() < 0.1  # every place as often
+    assert (states.visited == ~dirty).all()
+    bodies = np.concatenate([np.asarray(x) for x in env.task.normals])
+    for row in dirty[:20]:
+        for of in (env.task.segment == 0, env.task.segment == 1):  # all within 120°, so none is opposite another
+            assert (bodies[of & row] @ bodies[of & row].T).min() >= -0.5 - 1e-5
+    state = jax.tree.map(lambda x: x[0], states)
+    assert env.task.outcomes(state)["fraction_visited"] == 0 and not env.task.success(state)
+    clean = int(np.flatnonzero(~dirty[0] & (env.task.segment == 1))[0]) - 29
+    after = play(env, repeated(washing(env, s, clean), 50), state)
+    assert after.visited.sum() - state.visited.sum() == (after.visited & dirty[0]).sum()
+    washed = dataclasses.replace(state, visited=jnp.ones(52, bool), newly=jnp.int32(dirty[0].sum()))
+    terms = env.task.reward_terms({k: jnp.asarray(x[0], jnp.float32) for k, x in s.items()}, washed)
+    assert terms["wipe"] == pytest.approx(156.0)  # whatever was dirty: the paper's bound stays
+    assert env.task.success(washed)
 
 
 def test_a_bath_that_is_done_pays_the_rest_of_the_episode():
@@ -229,7 +298,8 @@ def test_a_spoon_feeds_from_the_front_with_its_tip_in_and_its_food_up():
     assert not fed(tip=(0, 0, 1.0), up=(0, 1.0, 0))  # from below
     assert not fed(speed=0.15) and not fed(distance=0.07)
     face = np.asarray(scenes.geometry.matrix(jnp.asarray(s["mouth_quat"][0])), float)
-    under = spoon(s) | {"tool_pos": s["mouth_pos"] - 0.022 * face[:, 2]}  # level, below the mouth's centre
+    under = spoon(s)  # level, its tip at the chin
+    under |= {"tool_pos": under["tool_pos"] - 0.032 * face[:, 2]}
     assert not bool(env.task.success(play(env, repeated(under, 63))))
 
 

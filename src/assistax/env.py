@@ -277,7 +277,9 @@ class Env:
     def _draw(self, key) -> _Start:
         task_key, person_key, phase_key, key = jax.random.split(key, 4)
         person = self.config.human.draw(person_key)
-        overrides = self._body.overrides(person.disability) if self.config.human.disabled else {}
+        overrides = (
+            self._body.overrides(person.disability, self.spec.tremor_weakens) if self.config.human.disabled else {}
+        )
         noise = jax.random.uniform(key, (2, self.model.nq), minval=-1.0, maxval=1.0) * self._noise
         limits = overrides.get("jnt_range", jnp.asarray(self.model.jnt_range))
         qpos = jnp.clip(self._start + noise[0], limits[:, 0], limits[:, 1])
@@ -307,8 +309,10 @@ class Env:
     def _trembling(self, ctrl, state: EnvState) -> jax.Array:
         if not self.config.human.disabled:
             return ctrl
-        trembling = disability.tremor(state.person.disability, state.phase, state.t * self.dt)
-        return ctrl.at[: trembling.size].add(trembling)
+        person = state.person.disability
+        trembling = disability.tremor(person, state.phase, state.t * self.dt)
+        wanted = ctrl[: trembling.size] * (1.0 if self.spec.tremor_weakens else person.strength)
+        return ctrl.at[: trembling.size].set(wanted + trembling)
 
     def _preference_terms(self, s: Sensors, state: EnvState, task: TaskState, actions: Obs) -> dict[str, jax.Array]:
         if not self.config.human.preferring:

@@ -24,7 +24,7 @@ def evaluate(
     Args:
       target: a run folder, a team file, or a task together with --policy.
       policy: with a task, who plays: trained (the team that comes with it), still, random, expert or considerate
-        (the robot; the human is then still, or comes toward the tool: offer, or away from it: withdraw).
+        (the robot; the human is then still, shows what it is to work on: offer, offer_slowly, or draws back: withdraw).
       episodes: how many (intervals are over them).
       engine: auto, mujoco, warp or mjx (default: as the run, else auto).
       seed: of the evaluation's draws; fixed unless given.

@@ -25,7 +25,7 @@ def render(
       target: a run folder, a team file, or a task together with --policy.
       out: an .mp4, .webp or .gif, or a .png of the last moment (default TASK.mp4).
       policy: with a task, who plays: trained (the team that comes with it), still, random, expert or considerate
-        (the robot; the human is then still, or comes toward the tool: offer, or away from it: withdraw).
+        (the robot; the human is then still, shows what it is to work on: offer, offer_slowly, or draws back: withdraw).
       engine: auto, mujoco, warp or mjx (default: as the run, else auto).
       seed: of the episode's draws; fixed unless given.
       set: change any setting of the run or task, as in `assistax evaluate`.

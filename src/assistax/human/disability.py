@@ -38,7 +38,7 @@ def disability(tremor: float = 0.0, tremor_hz: float = 5.0, strength: float = 1.
     return Disability(**{name: np.float32(value) for name, value in values.items()})  # ty: ignore[invalid-argument-type]
 
 
-MAGNITUDES = {"tremor": {"tremor": 0.3}, "weakness": {"strength": 0.4}, "limited_range": {"motion": 0.5}}
+MAGNITUDES = {"tremor": {"tremor": 0.3}, "weakness": {"strength": 0.4}, "limited_range": {"motion": 0.6}}
 DISABILITIES = {  # the seven standard settings: every non-empty subset of the three
     "+".join(names): {k: v for name in names for k, v in MAGNITUDES[name].items()}
     for size in (1, 2, 3)
@@ -86,10 +86,10 @@ class Body:
         start = model.key("start").qpos[model.jnt_qposadr[self._joints]]
         self._start = jnp.asarray(start, jnp.float32)[:, None]
 
-    def overrides(self, person: Disability) -> dict[str, jax.Array]:
-        """The model fields of this person: motor gains and joint ranges, the start pose inside."""
+    def overrides(self, person: Disability, weak_motors: bool) -> dict[str, jax.Array]:
+        """The model fields of this person: joint ranges, the start pose inside, and motor gains if motors are weak."""
         limits = self._start + person.motion * (self._range[self._joints] - self._start)
-        return {
-            "actuator_gainprm": self._gain.at[self._motors, 0].multiply(person.strength),
-            "jnt_range": self._range.at[self._joints].set(limits),
-        }
+        ranges = {"jnt_range": self._range.at[self._joints].set(limits)}
+        if not weak_motors:
+            return ranges
+        return ranges | {"actuator_gainprm": self._gain.at[self._motors, 0].multiply(person.strength)}

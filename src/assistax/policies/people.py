@@ -1,12 +1,23 @@
-"""Scripted people."""
+"""Scripted people: some work with the robot, some draw back."""
 
+import json
+from pathlib import Path
+from typing import Any
+
+import jax
 import jax.numpy as jnp
+import mujoco
+import numpy as np
 
 from assistax import scenes
 from assistax.scenes import geometry
 from assistax.tasks.arm_assist import ArmAssist
-from assistax.tasks.rewards import UP
-from assistax.tasks.scratch import Scratch
+from assistax.tasks.bed_bath import BedBath
+from assistax.tasks.feeding import Feeding
+from assistax.tasks.scratch import SEGMENTS, Scratch
+from assistax.tasks.tooth_brushing import ToothBrushing
+
+OFFERS = Path(__file__).with_name("offers.json")
 
 
 class Reflex:
@@ -37,44 +48,134 @@ class Reflex:
 
 
 class Offer:
-    """A person who offers what the robot is to work on, and else keeps still.
-
-    With an itch they turn its side of the arm toward the robot and up, unless it faces there already; with a weak
-    arm they help to carry it to the waist. Wherever the target is within reach of a person at rest, rest is best.
-    """
+    """A person who moves into a posture in which the robot can reach what it is to work on, and holds it."""
 
     privileged = True
-    turn = 25.0  # N m, toward the robot
-    enough = 0.5  # cosine of the angle to which the itch's side is turned
+    stiffness: Any = (60.0, 60.0, 25.0)  # N m/rad
+    damping: Any = (4.0, 4.0, 1.0)  # N m s/rad
+
+    def __init__(self, env, speed: float = 1.5):
+        """`speed` in rad/s: how fast the person moves from one posture to the next."""
+        scene = env.spec.scene
+        self.env, self._ids = env, scenes.qpos_ids(env.model, scene.human_driven)
+        self._full = scenes.HUMAN_TORQUE * scene.human_strength
+        self.rest = jnp.asarray(env.model.key("start").qpos[self._ids], jnp.float32)
+        self._step = speed * env.dt
+
+    def initial_carry(self) -> Any:
+        return {"aim": self.rest}
+
+    def posture(self, carry, state) -> tuple[jax.Array, Any]:
+        """The posture [driven] in rad that offers what is to be worked on, and the carry."""
+        raise NotImplementedError
+
+    def act(self, params, carry, state, reset, key):
+        carry = jax.tree.map(lambda new, old: jnp.where(reset, new, old), self.initial_carry(), carry)
+        posture, carry = self.posture(carry, state)
+        way = posture - carry["aim"]
+        aim = carry["aim"] + way * jnp.minimum(1.0, self._step / jnp.maximum(jnp.abs(way).max(), 1e-6))
+        qpos, qvel = state.physics.qpos[self._ids], state.physics.qvel[self._ids]
+        torque = jnp.array(self.stiffness) * (aim - qpos) - jnp.array(self.damping) * qvel
+        resting = jnp.abs(aim - self.rest).max() < 1e-3  # on the furniture, with loose muscles
+        return jnp.where(resting, 0.0, jnp.clip(torque / self._full, -1.0, 1.0)), carry | {"aim": aim}
+
+
+class OfferItch(Offer):
+    """Stays at rest if the robot can reach the itch, and else turns that side of the arm toward it.
+
+    Which posture serves which place on the skin was found by inverse kinematics over both bodies: tools/offers.py.
+    """
+
+    def __init__(self, env, speed: float = 1.5):
+        super().__init__(env, speed)
+        stored = json.loads(OFFERS.read_text())["scratch"]
+        self._postures = jnp.array(stored["postures"])
+        self._cells = jnp.array([[[int(i) for i in row] for row in stored[part]] for part in SEGMENTS])
+
+    def posture(self, carry, state):
+        height, angle = self.env.task.place(state.task)
+        _, rows, columns = self._cells.shape
+        row = jnp.clip((height + 1.0) / 2.0 * rows, 0, rows - 1).astype(int)
+        column = jnp.clip((angle / np.pi + 1.0) / 2.0 * columns, 0, columns - 1).astype(int)
+        return self._postures[self._cells[state.task.segment, row, column]], carry
+
+
+class OfferSkin(Offer):
+    """Stays at rest if the robot can reach what is dirty, and else shows it: see OfferItch."""
+
+    rest_bonus = 0.15  # of what is dirty may stay out of reach, before it is worth moving
+
+    def __init__(self, env, speed: float = 1.5):
+        super().__init__(env, speed)
+        stored = json.loads(OFFERS.read_text())["bed_bath"]
+        self._postures = jnp.array(stored["postures"])
+        self._shown = jnp.array([[c == "1" for c in row] for row in stored["shown"]])
+
+    def posture(self, carry, state):
+        dirty = state.task.dirty
+        shown = (self._shown & dirty).sum(1) / dirty.sum()
+        return self._postures[shown.at[0].add(self.rest_bonus).argmax()], carry
+
+
+class OfferFace(Offer):
+    """Turns the face toward where the robot stands, and holds it level."""
+
+    turn = 0.5  # of the way
+
+    stiffness = (25.0, 25.0)
+    damping = (4.0, 4.0)
+
+    def __init__(self, env, speed: float = 1.5):
+        super().__init__(env, speed)
+        face = mujoco.MjData(env.model)
+        mujoco.mj_resetDataKeyframe(env.model, face, env.model.key("start").id)
+        mujoco.mj_kinematics(env.model, face)
+        mouth = face.site("mouth")
+        ahead, robot = mouth.xmat[[0, 3]], (env.spec.scene.robot_pos - mouth.xpos)[:2]
+        bearing = np.arctan2(ahead[0] * robot[1] - ahead[1] * robot[0], ahead @ robot)
+        nod = np.arctan2(-mouth.xmat[6], np.linalg.norm(ahead))
+        self._posture = self.rest + jnp.array([self.turn * bearing, -nod])
+
+    def posture(self, carry, state):
+        return self._posture, carry
+
+
+class OfferTeeth(OfferFace):
+    """Holds the face level, straight ahead: the brush comes from the side."""
+
+    turn = 0.0
+
+
+class OfferArm:
+    """Helps to carry a weak arm to the waist."""
+
+    privileged = True
     carry = 15.0  # N/m, toward the waist
     damping = 2.0  # N m s/rad
 
-    def __init__(self, env):
+    def __init__(self, env, speed: float = 1.5):
         scene = env.spec.scene
-        self.env, self._ids = env, scenes.qpos_ids(env.model, scene.human_driven)
+        self.env = env
         self.limb = geometry.Chain(env.model, "wrist_target", scene.human_driven)
-        self._base = jnp.array(scene.robot_pos) * jnp.array([1.0, 1.0, 0.0])
         self._full = scenes.HUMAN_TORQUE * scene.human_strength
 
     def initial_carry(self):
         return ()
 
     def act(self, params, carry, state, reset, key):
-        task, s = self.env.task, self.env.sensors(state.physics)
-        torque = jnp.zeros(len(self._ids))
-        if isinstance(task, Scratch):
-            torque = self._turned(task, s, state)
-        elif isinstance(task, ArmAssist):
-            _, _, jacobian = self.limb(state.physics.qpos)
-            torque = jacobian[:3].T @ (self.carry * (s["waist_target_pos"] - s["wrist_target_pos"]))
+        s = self.env.sensors(state.physics)
+        _, _, jacobian = self.limb(state.physics.qpos)
+        torque = jacobian[:3].T @ (self.carry * (s["waist_target_pos"] - s["wrist_target_pos"]))
         return jnp.clip(torque / self._full, -1.0, 1.0), carry
 
-    def _turned(self, task, s, state):
-        itch, normal = task.skin(s, state.task)
-        toward = self._base - itch
-        want = geometry.unit(geometry.unit(toward * jnp.array([1.0, 1.0, 0.0])) + UP)
-        missing = jnp.maximum(self.enough - normal @ want, 0.0)
-        _, _, jacobian = self.limb(state.physics.qpos)
-        spin = jacobian[3:].T * jnp.where(state.task.segment == 0, jnp.array([1.0, 1.0, 0.0]), 1.0)[:, None]
-        torque = spin @ (self.turn * missing * geometry.unit(jnp.cross(normal, want)))
-        return torque - (missing > 0) * self.damping * state.physics.qvel[self._ids]
+
+_BY_TASK = {Scratch: OfferItch, BedBath: OfferSkin, ArmAssist: OfferArm, Feeding: OfferFace, ToothBrushing: OfferTeeth}
+
+
+def offer(env, speed: float = 1.5):
+    """The person who offers what the environment's task works on, moving at `speed` rad/s.
+
+    In version 0 and in tasks of others it is who moves toward the tool.
+    """
+    kind = _BY_TASK.get(type(env.task)) if env.spec.scene.worked_on else None
+    return kind(env, speed) if kind else Reflex(env, 1.0)

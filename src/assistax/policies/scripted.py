@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from assistax.errors import choose
 from assistax.policies.experts import expert
-from assistax.policies.people import Offer, Reflex
+from assistax.policies.people import Reflex, offer
 from assistax.policies.player import Player, Policy, Team
 
 
@@ -44,20 +44,22 @@ SCRIPTED = {  # by name, who plays the robot and who the human
     "expert": ("expert", "still"),
     "considerate": ("considerate", "still"),
     "offer": ("expert", "offer"),
+    "offer_slowly": ("expert", "offer_slowly"),
     "withdraw": ("expert", "withdraw"),
 }
 
 
 def scripted_policy(name: str, env, agent: str) -> Policy:
     """The policy called `name` for one agent: "still", "random", the robot's "expert" or "considerate", the human's
-    "offer" or "withdraw"."""
+    "offer", "offer_slowly" or "withdraw"."""
     size = env.action_sizes[agent]
     makers: dict[str, Callable[[], Policy]] = {"still": lambda: Still(size), "random": lambda: Random(size)}
     if agent == "robot":
         makers |= {"expert": lambda: expert(env), "considerate": lambda: expert(env, considerate=True)}
     else:
         makers |= {
-            "offer": lambda: Offer(env) if env.spec.scene.worked_on else Reflex(env, 1.0),
+            "offer": lambda: offer(env),
+            "offer_slowly": lambda: offer(env, speed=0.3),
             "withdraw": lambda: Reflex(env, -1.0),
         }
     return makers[choose(f"{agent}'s policy", name, makers)]()

@@ -54,6 +54,7 @@ TOUCHED = (
     "head", "chest", "belly", "pelvis",
     "right_upper_arm", "right_forearm", "right_hand", "left_upper_arm", "left_forearm", "left_hand",
 )  # fmt: skip
+SUPPORT = 0.005  # rad below rest: out of the way while nothing pushes
 HUMAN_TORQUE = 10.0  # N m at action 1
 HUMAN_SPEED = {**dict.fromkeys(RIGHT_ARM, 4.0), **dict.fromkeys(NECK, 3.0)}  # rad/s
 BRAKE_FROM = 0.85  # of a joint's speed limit, from where its brakes grip
@@ -118,6 +119,7 @@ class SceneConfig:
     worked_on: tuple[str, ...] = ()
     regions: bool = False  # whether the robot's force is measured on every part of the person, TOUCHED
     speed_limits: bool = False  # whether joints keep to the robot's speeds and, if driven, to HUMAN_SPEED
+    supported: bool = False  # whether furniture holds an arm that is not driven against a push from above
     control: str = "torque"  # or "position": the robot's ctrl is a joint target in rad
     camera: tuple[float, ...] = (1.75, 1.65, 1.45, 0.33, 0.06, 0.62)  # eye and point looked at
     close: tuple[float, ...] = (1.05, 0.75, 1.30, 0.25, 0.02, 0.80)
@@ -176,6 +178,8 @@ def build(config: SceneConfig, visuals: bool = True) -> mujoco.MjSpec:
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
     posture = POSTURES[config.posture]
     _pose_human(spec, posture, config.human_driven)
+    if config.supported:
+        _support(spec, posture, config.human_driven)
     for body in spec.body("robot").find_all("body"):
         body.gravcomp = not _fixed(body)  # the real arm's torque interface compensates gravity
     for geom in spec.body("robot").find_all("geom"):
@@ -201,8 +205,9 @@ def sensor_slices(model: mujoco.MjModel) -> dict[str, slice]:
 
 
 def limited(scene: SceneConfig, *worked_on: str) -> SceneConfig:
-    """The scene with what version 1 of a task needs: speeds kept within limits, relative speeds and forces measured."""
-    return replace(scene, worked_on=worked_on, regions=True, speed_limits=True)
+    """The scene with what version 1 of a task needs: speeds kept within limits, arms supported, relative speeds and
+    forces measured."""
+    return replace(scene, worked_on=worked_on, regions=True, speed_limits=True, supported=True)
 
 
 def qpos_ids(model: mujoco.MjModel, joints: tuple[str, ...]) -> np.ndarray:
@@ -256,6 +261,17 @@ def _pose_human(spec, posture, driven):
     if not set(RIGHT_ARM) & set(driven):
         for right, left in zip(RIGHT_ARM[:2], LEFT_ARM[:2], strict=True):
             spec.joint(right).springref = -spec.joint(left).springref
+
+
+def _support(spec, posture, driven):
+    """Stop the shoulders of arms that are not driven a little below rest, as the furniture under them would."""
+    for joints, sign in ((RIGHT_ARM, 1.0), (LEFT_ARM, -1.0)):
+        if set(joints) & set(driven):
+            continue
+        for name, down in zip(joints[:2], (sign, -sign), strict=True):
+            rest, (low, high) = posture.rest[HUMAN_JOINTS.index(name)], spec.joint(name).range
+            stop = rest + down * SUPPORT
+            spec.joint(name).range = (low, min(high, stop)) if down > 0 else (max(low, stop), high)
 
 
 def _add_actuators(spec, config):

@@ -23,6 +23,7 @@ from assistax.tasks.rewards import norm, reach, rotation, waist
 class ArmAssistConfig:
     waist_scale: float = 10.0
     rotation_scale: float = 0.1
+    unsettled: float = 1.0  # of the waist term is paid at the waist while the forearm moves, or was thrown there
     # What counts as brought back, and for how long in all it must last to be a success.
     waist_distance: float = 0.10  # m
     settled_speed: float = 1e3  # m/s, of the forearm, at most, while it counts
@@ -52,6 +53,11 @@ class ArmAssist:
         """R_hookᵀ R_wrist [3, 3]."""
         return geometry.matrix(s["tool_quat"]).T @ geometry.matrix(s["wrist_target_quat"])
 
+    @staticmethod
+    def _speed(s: Sensors):
+        """Of the forearm in m/s; 0 in version 0, which does not measure it."""
+        return norm(s["wrist_target_vel"]) if "wrist_target_vel" in s else jnp.float32(0.0)
+
     def observe(self, s: Sensors, state: ArmAssistState):
         vector = s["wrist_target_pos"] - s["tool_pos"]
         to_waist = s["waist_target_pos"] - s["wrist_target_pos"]
@@ -67,15 +73,17 @@ class ArmAssist:
 
     def reward_terms(self, s: Sensors, state: ArmAssistState):
         c = self.config
+        restless = self.helping(s, state) & (state.thrown | (self._speed(s) > c.settled_speed))
+        paid = jnp.where(restless, c.unsettled, 1.0)
         return {
             "reach": reach(norm(s["wrist_target_pos"] - s["tool_pos"])),
-            "waist": c.waist_scale * waist(norm(s["waist_target_pos"] - s["wrist_target_pos"])),
+            "waist": c.waist_scale * paid * waist(norm(s["waist_target_pos"] - s["wrist_target_pos"])),
             "rotation": c.rotation_scale * rotation(self._rotation(s)),
         }
 
     def advance(self, s: Sensors, state: ArmAssistState) -> ArmAssistState:
         c, there = self.config, self.helping(s, state)
-        speed = norm(s["wrist_target_vel"]) if "wrist_target_vel" in s else jnp.float32(0.0)
+        speed = self._speed(s)
         thrown = (state.thrown & (there | (speed > c.settled_speed))) | (speed > c.carrying_speed)
         settled = there & ~thrown & (speed <= c.settled_speed)
         return ArmAssistState(state.seconds_at_waist + self.dt * settled, thrown)
@@ -122,13 +130,14 @@ SPECS = (
         expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
         bound=11280,
         preference_budget=4.512,
+        tremor_weakens=True,
     ),
     TaskSpec(
         "arm_assist",
         1,
         ArmAssist,
         limited(_SCENE, "forearm"),
-        ArmAssistConfig(settled_speed=0.1, carrying_speed=0.5),
+        ArmAssistConfig(unsettled=0.9, settled_speed=0.1, carrying_speed=0.5),
         expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
         bound=11280,
         preference_budget=4.512,

@@ -20,6 +20,8 @@ from assistax.tasks.rewards import norm, reach
 
 SEGMENTS = ("upper_arm", "forearm")
 ROWS = (9, 8, 9)  # points along the limb, in three rows that are half a step apart: 26 per segment
+AROUND = (29, 23)  # points all around the segments, as many as they have skin
+GOLDEN = pi * (3.0 - 5.0**0.5)  # rad, from one point to the next around a limb: even at any length and girth
 
 
 @dataclass(frozen=True)
@@ -29,9 +31,11 @@ class BedBathConfig:
     most_force: float = 1e6  # N, ... and with no more than this,
     speed: tuple[float, float] = (0.0, 1e3)  # m/s, ... at a speed within these,
     wash_seconds: float = 0.0  # s, and is done, once for all, after so long in all; 0: at once, merely visited
-    wipe_scale: float = 3.0  # per newly visited point
-    # Where the points are: fractions of the segment's length from its start, and up to this angle
-    # to either side of up; the rest faces the trunk or the mattress.
+    wipe_scale: float = 3.0  # per newly visited point; more if fewer than 52 are dirty, the same in all
+    # Where the points are: all around the arm, or between fractions of the segment's length from its start, and up to
+    # this angle to either side of up.
+    around: bool = False
+    dirty: float = pi  # rad, to either side of where a reset draws: what is to be washed; the rest is clean
     height: tuple[float, float] = (0.1, 0.9)
     angle: float = 0.8  # rad
     success_fraction: float = 0.9  # of the points
@@ -39,7 +43,8 @@ class BedBathConfig:
 
 @pytree
 class BedBathState:
-    visited: jax.Array  # [52] bool, or washed
+    dirty: jax.Array  # [52] bool, what was to be washed at the start
+    visited: jax.Array  # [52] bool, or washed, or clean from the start
     seconds: jax.Array  # [52] of washing
     newly: jax.Array  # int32: points first visited in this control step
 
@@ -50,16 +55,27 @@ class BedBath:
 
     def __init__(self, config: BedBathConfig, model: mujoco.MjModel, dt: float):
         self.config, self.dt = config, dt
-        # [2, 26, 3] m, in the body frames of the segments
-        self.points = jnp.array([self._on_skin(model, f"right_{segment}") for segment in SEGMENTS])
+        bodies = [f"right_{segment}" for segment in SEGMENTS]
+        limbs = [(geometry.capsule(model, body), body) for body in bodies]
+        ups = [geometry.upward(model, body, limb) for limb, body in limbs]
+        skins = [(limb, up, np.cross(limb.axis, up)) for (limb, _), up in zip(limbs, ups, strict=True)]
+        if config.around:
+            places = [self._spiral(*skin, count) for skin, count in zip(skins, AROUND, strict=True)]
+        else:
+            places = [self._rows(*skin) for skin in skins]
+        # In the body frames of the segments: where points are [n, 3] in m, and what points out of the skin there.
+        self.points, self.normals = ([jnp.array(xs) for xs in both] for both in zip(*places, strict=True))
+        angles = [
+            jnp.arctan2(ns @ jnp.asarray(side), ns @ jnp.asarray(up))
+            for ns, (_, up, side) in zip(self.normals, skins, strict=True)
+        ]
+        self._angle = jnp.concatenate(angles)  # [52] rad, around the limb from its upper side
+        self.segment = np.repeat(np.arange(len(SEGMENTS)), [len(xs) for xs in self.points])  # [52], of each point
 
-    def _on_skin(self, model, body) -> np.ndarray:
-        """Points [26, 3] on the limb's skin: three rows, evenly spaced."""
+    def _rows(self, limb, up, side) -> tuple[np.ndarray, np.ndarray]:
+        """Points [26, 3] on the limb's upper side and their normals: three rows, evenly spaced."""
         low, high = self.config.height
-        limb = geometry.capsule(model, body)
-        up = geometry.upward(model, body, limb)
-        side = np.cross(limb.axis, up)
-        points = []
+        points, normals = [], []
         for turn, count in zip((-1.0, 0.0, 1.0), ROWS, strict=True):
             angle = turn * self.config.angle
             inset = (max(ROWS) - count) / 2  # of the rows' common step
@@ -67,12 +83,25 @@ class BedBath:
             normal = np.cos(angle) * up + np.sin(angle) * side
             along = (2.0 * fractions - 1.0) * limb.half_length
             points.append(limb.centre + along[:, None] * limb.axis + limb.radius * normal)
-        return np.concatenate(points)
+            normals.append(np.broadcast_to(normal, (count, 3)))
+        return np.concatenate(points), np.concatenate(normals)
+
+    @staticmethod
+    def _spiral(limb, up, side, count) -> tuple[np.ndarray, np.ndarray]:
+        """Points [count, 3] evenly over all of the limb's skin, and their normals."""
+        i = np.arange(count)[:, None]
+        normals = np.cos(GOLDEN * i) * up + np.sin(GOLDEN * i) * side
+        along = ((2.0 * i + 1.0) / count - 1.0) * limb.half_length
+        return limb.centre + along * limb.axis + limb.radius * normals, normals
 
     def reset(self, key) -> BedBathState:
-        """Nothing is drawn: the whole arm is to be wiped."""
-        count = len(SEGMENTS) * sum(ROWS)
-        return BedBathState(jnp.zeros(count, bool), jnp.zeros(count), jnp.int32(0))
+        """The side of the arm that is dirty, uniform around it; without one, the whole arm is."""
+        count = len(self.segment)
+        dirty = jnp.ones(count, bool)
+        if self.config.dirty < pi:
+            middle = jax.random.uniform(key, (), minval=-pi, maxval=pi)
+            dirty = jnp.cos(self._angle - middle) >= jnp.cos(self.config.dirty)
+        return BedBathState(dirty, ~dirty, jnp.zeros(count), jnp.int32(0))
 
     def to_points(self, s: Sensors) -> jax.Array:
         """Vectors [52, 3] from the tool to all points, in world axes."""
@@ -81,6 +110,11 @@ class BedBath:
             for segment, points in zip(SEGMENTS, self.points, strict=True)
         ]
         return jnp.concatenate(world) - s["tool_pos"]
+
+    def out_of_skin(self, s: Sensors) -> jax.Array:
+        """Unit vectors [52, 3] that point out of the skin at the points, in world axes."""
+        pairs = zip(SEGMENTS, self.normals, strict=True)
+        return jnp.concatenate([geometry.rotate(s[f"{segment}_quat"], normals) for segment, normals in pairs])
 
     def _to_target(self, s: Sensors, state: BedBathState):
         """Vector [3] from the tool to the nearest point not yet visited; to the nearest of all at the end."""
@@ -100,22 +134,22 @@ class BedBath:
     def reward_terms(self, s: Sensors, state: BedBathState):
         return {
             "reach": reach(norm(self._to_target(s, state))),
-            "wipe": self.config.wipe_scale * state.newly,
+            "wipe": self.config.wipe_scale * state.newly * (len(self.segment) / state.dirty.sum()),
         }
 
     def advance(self, s: Sensors, state: BedBathState) -> BedBathState:
         c = self.config
         force, speed = (norm(jnp.stack([of(s, part) for part in SEGMENTS])) for of in (tool_force, tool_velocity))
         rubbing = (force > c.touch_force) & (force <= c.most_force) & (c.speed[0] <= speed) & (speed <= c.speed[1])
-        washing = jnp.repeat(rubbing, sum(ROWS)) & (norm(self.to_points(s)) < c.near)
+        washing = rubbing[self.segment] & (norm(self.to_points(s)) < c.near)
         seconds = state.seconds + self.dt * washing
         done = washing & (seconds > c.wash_seconds - self.dt / 2)
-        return BedBathState(state.visited | done, seconds, (done & ~state.visited).sum())
+        return BedBathState(state.dirty, state.visited | done, seconds, (done & ~state.visited).sum())
 
     def helping(self, s: Sensors, state: BedBathState):
         """On a point not yet washed, touching the segment that it is on."""
         force = norm(jnp.stack([tool_force(s, part) for part in SEGMENTS]))
-        touching = jnp.repeat(force > self.config.touch_force, sum(ROWS))
+        touching = (force > self.config.touch_force)[self.segment]
         return (touching & ~state.visited & (norm(self.to_points(s)) < self.config.near)).any()
 
     def tool_speed(self, s: Sensors, state: BedBathState):
@@ -123,13 +157,13 @@ class BedBath:
         upper, fore = (tool_velocity(s, part) for part in SEGMENTS)
         if upper is fore:
             return norm(upper)
-        return norm(jnp.where(jnp.argmin(norm(self.to_points(s))) < sum(ROWS), upper, fore))
+        return norm(jnp.where(jnp.argmin(norm(self.to_points(s))) < len(self.points[0]), upper, fore))
 
     def outcomes(self, state: BedBathState):
-        return {"fraction_visited": state.visited.mean()}
+        return {"fraction_visited": (state.visited & state.dirty).sum() / state.dirty.sum()}
 
     def success(self, state: BedBathState):
-        return state.visited.mean() >= self.config.success_fraction
+        return self.outcomes(state)["fraction_visited"] >= self.config.success_fraction
 
     def terminated(self, state: BedBathState):
         return state.visited.all()
@@ -149,14 +183,23 @@ SPECS = (
         expert="assistax.policies.experts.bed_bath:BedBathExpert",
         bound=1156,
         preference_budget=1.156,
+        tremor_weakens=True,
     ),
     TaskSpec(
         "bed_bath",
         1,
         BedBath,
         limited(_SCENE, *SEGMENTS),
-        BedBathConfig(touch_force=0.5, most_force=15.0, speed=(0.02, 0.4), wash_seconds=0.08),
-        expert="assistax.policies.experts.bed_bath:BedBathExpert",
+        BedBathConfig(
+            around=True,
+            dirty=pi / 3,
+            touch_force=0.5,
+            most_force=15.0,
+            speed=(0.02, 0.4),
+            wash_seconds=0.08,
+            success_fraction=0.75,
+        ),
+        expert="assistax.policies.experts.bed_bath:BathAroundExpert",
         bound=1156,
         preference_budget=1.156,
         preferences_need_help=True,

@@ -26,6 +26,9 @@ class FeedingConfig:
     reach_scale: float = 2.0
     speed: float = 0.20  # m/s, v*_app far from the mouth
     force: float = 1.0  # N, f* of the contact term
+    pay_help_only: bool = False  # whether the contact term pays only while the person can eat, or anywhere
+    aim_inward: bool = False  # whether the tip is to point along the mouth's axis, or at its middle
+    most_tilt: float = pi  # rad, of the wanted up side from upright
     # What counts as feeding, and for how long in all it must last to be a success.
     mouth_distance: float = 0.03  # m, from the bowl, between its middle (the tool point) and its tip
     bowl: float = 0.036  # m, from middle to tip: as near as the middle gets to a face from the front
@@ -75,11 +78,14 @@ class Feeding:
     def reward_terms(self, s: Sensors, state: FeedingState):
         c = self.config
         vector, tool = s["mouth_pos"] - s["tool_pos"], geometry.matrix(s["tool_quat"])
+        eating = self.helping(s, state) & (self.tool_speed(s, state) <= c.mouth_speed)
+        paid = eating if c.pay_help_only else 1.0
+        own = (-geometry.matrix(s["mouth_quat"])[:, 0], c.most_tilt) if c.aim_inward else ()
         return {
             "reach": c.reach_scale * envelope(norm(vector)),
-            "orientation": orientation(vector, up=-tool[:, 0], tip=tool[:, 2]),
+            "orientation": orientation(vector, -tool[:, 0], tool[:, 2], *own),
             "approach": approach(self.tool_speed(s, state), norm(vector), c.speed),
-            "contact": boltzmann(norm(s["tool_force"]) / c.force),
+            "contact": paid * boltzmann(norm(s["tool_force"]) / c.force),
         }
 
     def advance(self, s: Sensors, state: FeedingState) -> FeedingState:
@@ -108,7 +114,8 @@ class Feeding:
         tool, face = geometry.matrix(s["tool_quat"]), geometry.matrix(s["mouth_quat"])
         vector, tip, ahead = s["mouth_pos"] - s["tool_pos"], tool[:, 2], face[:, 0]
         from_bowl = norm(vector - tip * jnp.clip(vector @ tip, 0.0, c.bowl))
-        cosines = jnp.stack([geometry.unit(-vector) @ ahead, -tip @ ahead, -tool[2, 0]])
+        behind = -vector - c.bowl * tip  # from the mouth to where the handle begins, never at the mouth itself
+        cosines = jnp.stack([geometry.unit(behind) @ ahead, -tip @ ahead, -tool[2, 0]])
         return (from_bowl < c.mouth_distance) & (cosines >= jnp.cos(c.mouth_angle) - 1e-6).all()
 
     def helping(self, s: Sensors, state: FeedingState):
@@ -152,6 +159,7 @@ SPECS = (
         expert="assistax.policies.experts.feeding:FeedingExpert",
         bound=4700,
         preference_budget=1.88,
+        tremor_weakens=True,
     ),
     TaskSpec(
         "feeding",
@@ -165,6 +173,9 @@ SPECS = (
             spill_anywhere=pi / 2,
             filter_seconds=0.05,
             spill_when_fed=False,
+            pay_help_only=True,
+            aim_inward=True,
+            most_tilt=pi / 12,
         ),
         expert="assistax.policies.experts.feeding:FeedingExpert",
         bound=4700,

@@ -11,6 +11,7 @@ DECAY = 3.0  # 1/m, of r_te and of the alignment's envelope
 PROXIMITY = 150.0  # 1/m², of the feeding terms: p is 0.22 at 10 cm, 0.69 at 5 cm
 APPROACH_WIDTH = 0.01  # m²/s², of r_v
 UP = np.array([0.0, 0.0, 1.0])
+LEVEL = np.array([1.0, 1.0, 0.0])  # takes the height out of a vector
 
 
 def boltzmann(x: jax.Array) -> jax.Array:
@@ -46,15 +47,25 @@ def proximity(distance: jax.Array) -> jax.Array:
     return jnp.exp(-PROXIMITY * jnp.square(distance))
 
 
-def orientation(to_mouth: jax.Array, up: jax.Array, tip: jax.Array) -> jax.Array:
+def orientation(
+    to_mouth: jax.Array, up: jax.Array, tip: jax.Array, inward: jax.Array | None = None, most_tilt: float | None = None
+) -> jax.Array:
     """r_o = r_pour + (0.3 + 0.7p)·r_aim of a spoon with the unit directions up and tip [3].
 
     Level while far from the mouth, tilted toward it when near: r_pour = t·up for the direction
     t = normalise((1−p)·ẑ + p·û), and r_aim = tip·û. to_mouth [3] in m.
+
+    Version 1: with `inward` [3], the unit direction into the mouth, r_aim = tip·inward, and t is at most `most_tilt`
+    rad from ẑ; with the paper's, a spoon poured out under the chin is paid more than one in the mouth.
     """
     towards, p = unit(to_mouth), proximity(norm(to_mouth))
     target = unit((1.0 - p) * UP + p * towards)
-    return target @ up + (0.3 + 0.7 * p) * (tip @ towards)
+    if most_tilt is not None:
+        level = target * LEVEL
+        tilt = jnp.minimum(jnp.arctan2(norm(level), target[2]), most_tilt)
+        target = jnp.cos(tilt) * UP + jnp.sin(tilt) * unit(level)
+    aim = towards if inward is None else inward
+    return target @ up + (0.3 + 0.7 * p) * (tip @ aim)
 
 
 def approach(speed: jax.Array, distance: jax.Array, top_speed: float) -> jax.Array:

@@ -28,10 +28,12 @@ class ScratchConfig:
     speed: float = 0.1  # m/s, v* of the scratch term
     force: float = 3.0  # N, f* of the scratch term
     scratch_scale: float = 4.0
+    pay_help_only: bool = False  # whether the scratch term pays only where it helps, or wherever the tool is near
     # Where an itch can be: between these fractions of the segment's half-length, and within this
-    # angle of the side that faces away from the trunk; the rest is out of the robot's reach.
+    # angle of the side that faces away from the trunk.
     height: tuple[float, float] = (-0.8, 0.8)
     angle: float = 1.0  # rad
+    by_area: bool = False  # whether a segment itches as often as it has skin, or both alike
     # What counts as scratching, and for how long it must last to be a success.
     scratch_distance: float = 0.1  # m, from the tool point to the itch
     scratch_force: tuple[float, float] = (1.0, 6.0)  # N
@@ -57,6 +59,8 @@ class Scratch:
         self._axis = jnp.array([c.axis for c in capsules])
         self._length = jnp.array([c.half_length for c in capsules])
         self._radius = jnp.array([c.radius for c in capsules])
+        skin = np.array([c.radius * c.half_length for c in capsules])
+        self._on_forearm = float(skin[1] / skin.sum()) if config.by_area else 0.5
         # Angles are measured around the axis from the side that faces away from the trunk at rest.
         outward = [
             geometry.outward(model, f"right_{segment}", c) for segment, c in zip(SEGMENTS, capsules, strict=True)
@@ -68,7 +72,7 @@ class Scratch:
         """An itch on the skin of either segment, uniform in height and angle."""
         c = self.config
         u = jax.random.uniform(key, (3,))
-        segment = (u[0] < 0.5).astype(jnp.int32)
+        segment = (u[0] < self._on_forearm).astype(jnp.int32)
         height = (c.height[0] + (c.height[1] - c.height[0]) * u[1]) * self._length[segment]
         angle = c.angle * (2.0 * u[2] - 1.0)
         normal = jnp.cos(angle) * self._outward[segment] + jnp.sin(angle) * self._side[segment]
@@ -89,6 +93,12 @@ class Scratch:
         axis, arm = self._axis[state.segment], state.itch - self._centre[state.segment]
         return s["tool_pos"] + self._to_itch(s, state), geometry.rotate(quat, geometry.unit(arm - axis * (axis @ arm)))
 
+    def place(self, state: ScratchState):
+        """Where on its segment the itch is: height in half-lengths from the middle, and angle in rad."""
+        arm = state.itch - self._centre[state.segment]
+        height = arm @ self._axis[state.segment] / self._length[state.segment]
+        return height, jnp.arctan2(arm @ self._side[state.segment], arm @ self._outward[state.segment])
+
     def observe(self, s: Sensors, state: ScratchState):
         vector = self._to_itch(s, state)
         return {
@@ -101,11 +111,12 @@ class Scratch:
     def reward_terms(self, s: Sensors, state: ScratchState):
         c = self.config
         distance = norm(self._to_itch(s, state))
-        speed, force = self.tool_speed(s, state), norm(s["tool_force"])
+        speed, force = self.tool_speed(s, state), norm(self._on_segment(s, state, tool_force))
         moving, pressing = boltzmann(speed / c.speed), boltzmann(force / c.force)
+        paid = self.helping(s, state) if c.pay_help_only else distance < c.near
         return {
             "reach": reach(distance),
-            "scratch": c.scratch_scale * (distance < c.near) * moving * pressing,
+            "scratch": c.scratch_scale * paid * moving * pressing,
         }
 
     def advance(self, s: Sensors, state: ScratchState) -> ScratchState:
@@ -154,13 +165,14 @@ SPECS = (
         expert="assistax.policies.experts.scratch:ScratchExpert",
         bound=1000,
         preference_budget=1.0,
+        tremor_weakens=True,
     ),
     TaskSpec(
         "scratch",
         1,
         Scratch,
         limited(_SCENE, *SEGMENTS),
-        ScratchConfig(angle=pi, scratch_distance=0.04),
+        ScratchConfig(height=(-1.0, 1.0), angle=pi, by_area=True, pay_help_only=True, scratch_distance=0.04),
         expert="assistax.policies.experts.scratch:ScratchExpert",
         bound=1000,
         preference_budget=1.0,

@@ -14,7 +14,7 @@ import mujoco
 
 from assistax.pytree import pytree
 from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry, limited
-from assistax.tasks.base import Sensors, tool_velocity
+from assistax.tasks.base import Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import alignment, boltzmann, envelope, norm
 
@@ -22,6 +22,8 @@ from assistax.tasks.rewards import alignment, boltzmann, envelope, norm
 @dataclass(frozen=True)
 class ToothBrushingConfig:
     reach_scale: float = 2.0
+    brush_scale: float = 1.0
+    pay_help_only: bool = False  # whether the brush term pays only where it helps, or wherever the bristles are near
     near: float = 0.05  # m, the brush term counts when the bristles are nearer than this
     speed: float = 0.1  # m/s, v* of the brush term
     force: float = 1.0  # N, f* of the brush term
@@ -63,17 +65,18 @@ class ToothBrushing:
         """(distance to the mouth in m, speed across in m/s, force in N)."""
         vector = s["mouth_pos"] - s["tool_pos"]
         towards, velocity = geometry.unit(vector), tool_velocity(s, "head")
-        return norm(vector), norm(velocity - (velocity @ towards) * towards), norm(s["tool_force"])
+        return norm(vector), norm(velocity - (velocity @ towards) * towards), norm(tool_force(s, "head"))
 
     def reward_terms(self, s: Sensors, state: ToothBrushingState):
         c = self.config
         distance, speed, force = self._stroke(s)
         tool = geometry.matrix(s["tool_quat"])
         align = alignment(s["mouth_pos"] - s["tool_pos"], bristle=-tool[:, 0], handle=-tool[:, 2])
+        paid = self.helping(s, state) if c.pay_help_only else distance < c.near
         return {
             "reach": c.reach_scale * envelope(distance),
             "align": align * envelope(distance),
-            "brush": (distance < c.near) * boltzmann(speed / c.speed) * boltzmann(force / c.force),
+            "brush": c.brush_scale * paid * boltzmann(speed / c.speed) * boltzmann(force / c.force),
         }
 
     def advance(self, s: Sensors, state: ToothBrushingState) -> ToothBrushingState:
@@ -117,15 +120,16 @@ SPECS = (
         expert="assistax.policies.experts.tooth_brushing:ToothBrushingExpert",
         bound=3140,
         preference_budget=1.256,
+        tremor_weakens=True,
     ),
     TaskSpec(
         "tooth_brushing",
         1,
         ToothBrushing,
         limited(_SCENE, "head"),
-        ToothBrushingConfig(brush_angle=pi / 3),
+        ToothBrushingConfig(brush_scale=4.0, brush_angle=pi / 3, pay_help_only=True),
         expert="assistax.policies.experts.tooth_brushing:ToothBrushingExpert",
-        bound=3140,
+        bound=3542,
         preference_budget=1.256,
         preferences_need_help=True,
     ),

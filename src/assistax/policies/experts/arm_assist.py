@@ -2,9 +2,9 @@
 
 import jax.numpy as jnp
 
-from assistax.policies.experts.controller import LEVEL, Expert, Goal, circle
+from assistax.policies.experts.controller import Expert, Goal, circle
 from assistax.scenes import geometry
-from assistax.tasks.rewards import UP, norm
+from assistax.tasks.rewards import LEVEL, UP, norm
 
 CARRYING = 0.6  # of the speed at which the forearm may be carried, if the task limits it
 

@@ -4,7 +4,6 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from assistax import scenes
 from assistax.errors import UsageError
@@ -19,9 +18,6 @@ PRESS_DAMPING = 40.0  # N s/m, along the direction of pressing
 TURN_DAMPING = 4.0  # N m s/rad
 TURN_SPEED = 1.5  # rad/s, at most
 POSTURE_STIFFNESS, POSTURE_DAMPING = 6.0, 3.0  # N m/rad, N m s/rad: toward the ready pose, in the null space
-
-
-LEVEL = np.array([1.0, 1.0, 0.0])  # takes the height out of a vector
 
 
 class Goal(NamedTuple):
@@ -51,6 +47,7 @@ class Expert:
     privileged = True
     stroke_speed = 0.0  # m/s
     force = 0.0  # N
+    turn_speed = TURN_SPEED  # rad/s, at most
 
     def __init__(self, env, considerate: bool = False):
         if considerate and not env.config.human.preferring:
@@ -98,7 +95,7 @@ class Expert:
         force = DAMPING * (wanted - velocity[:3]) + goal.press
         force += (DAMPING - PRESS_DAMPING) * goal.free * jnp.dot(goal.free * jnp.ones(3), velocity[:3])
         turn = 0.5 * jnp.cross(rot.T, goal.rot.T).sum(0)  # sin(angle) times the axis of the missing turn
-        torque = TURN_DAMPING * (at_most(TURN_GAIN * turn, TURN_SPEED) - velocity[3:])
+        torque = TURN_DAMPING * (at_most(TURN_GAIN * turn, self.turn_speed) - velocity[3:])
         posture = POSTURE_STIFFNESS * (self._ready - qpos[self._ids]) - POSTURE_DAMPING * qvel
         square = jacobian @ jacobian.T + 1e-5 * jnp.eye(6)
         posture -= jacobian.T @ jnp.linalg.solve(square, jacobian @ posture)

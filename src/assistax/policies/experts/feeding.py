@@ -2,9 +2,9 @@
 
 import jax.numpy as jnp
 
-from assistax.policies.experts.controller import LEVEL, Expert, Goal
+from assistax.policies.experts.controller import Expert, Goal
 from assistax.scenes import geometry
-from assistax.tasks.rewards import UP, norm, proximity
+from assistax.tasks.rewards import LEVEL, UP, norm, proximity
 
 
 class FeedingExpert(Expert):

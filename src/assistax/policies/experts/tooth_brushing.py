@@ -2,9 +2,9 @@
 
 import jax.numpy as jnp
 
-from assistax.policies.experts.controller import LEVEL, Expert, Goal, circle
+from assistax.policies.experts.controller import Expert, Goal, circle
 from assistax.scenes import geometry
-from assistax.tasks.rewards import UP, norm
+from assistax.tasks.rewards import LEVEL, UP, norm
 
 
 class ToothBrushingExpert(Expert):

@@ -1,0 +1,197 @@
+"""Postures in which a person offers the robot what it is to work on, by inverse kinematics over both bodies.
+
+python tools/offers.py   # writes src/assistax/policies/offers.json, some three minutes
+
+A posture counts if the person can hold it, if nothing is in the way there or on the way there from rest while the robot
+waits at its start, and if the tool then touches the skin with nothing else in the way. It says, too, what share of the
+arm's skin the robot can reach beside a person at rest, and beside one who moves.
+"""
+
+import json
+from itertools import product
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+
+from assistax import make, scenes
+from assistax.policies.people import OFFERS
+from assistax.scenes import geometry
+from assistax.tasks.scratch import SEGMENTS
+
+CELLS = (12, 16)  # along a segment, around it
+GRID = 8  # angles per joint of the person
+STEP = 24  # poses on the way from rest
+CLEAR = 0.04  # m, between robot and person on the way
+DEEP, PRESSED = 0.005, 0.008  # m that bodies may be inside each other, and the tool inside the skin
+STRENGTH = 0.9  # of the person's torque, to hold a posture
+AROUND_PAD = 0.045  # m, from the pad's centre, what it washes
+LEAN = {"scratch": 1.0, "bed_bath": 0.0}  # how far the tool leans away from the robot, as the scripted robot holds it
+TIP = {"scratch": 0.008, "bed_bath": 0.004}  # m, from tool point to skin when touching
+MORE = {"scratch": 3, "bed_bath": 4}  # postures beside rest
+
+
+class Reach:
+    """Where the tool can touch the right arm in a posture of the person."""
+
+    def __init__(self, task: str):
+        env = make(task, engine="mujoco")
+        self.task, self.env, self.model, scene = task, env, env.model, env.spec.scene
+        self.data = mujoco.MjData(self.model)
+        self.rest = self.model.key("start").qpos.copy()
+        self.person = scenes.qpos_ids(self.model, scene.human_driven)
+        self.robot = scenes.qpos_ids(self.model, env.robot.joints)
+        self.strength = STRENGTH * scenes.HUMAN_TORQUE * scene.human_strength
+        self.base = np.array([*scene.robot_pos[:2], 0.0])
+        tree = self.model.body_rootid[self.model.geom_bodyid]
+        self.of_robot, self.of_person = (
+            tree == self.model.body_rootid[self.model.jnt_bodyid[self.model.joint(joint).id]]
+            for joint in (env.robot.joints[0], "right_elbow")
+        )
+        self.skin = [self.model.geom(f"right_{segment}").id for segment in SEGMENTS]
+        self.segment, self.points, self.normals = self._cells()
+        self._solve = self._inverse_kinematics()
+        self._rng = np.random.default_rng(0)
+
+    def _cells(self):
+        """Middles of equal patches of skin in the segments' frames: the segment of each, its place and normal."""
+        rows, columns = CELLS
+        heights = (np.arange(rows) + 0.5) / rows * 2 - 1
+        angles = ((np.arange(columns) + 0.5) / columns * 2 - 1) * np.pi
+        cells = []
+        for i, segment in enumerate(SEGMENTS):
+            body = f"right_{segment}"
+            limb = geometry.capsule(self.model, body)
+            out = geometry.outward(self.model, body, limb)
+            side = np.cross(limb.axis, out)
+            for height, angle in product(heights, angles):
+                normal = np.cos(angle) * out + np.sin(angle) * side
+                cells.append((i, limb.centre + height * limb.half_length * limb.axis + limb.radius * normal, normal))
+        return (np.array(xs) for xs in zip(*cells, strict=True))
+
+    def _inverse_kinematics(self):
+        """Damped least squares: robot poses that put the tool point at places [n, 3], its axis along others [n, 3]."""
+        chain = geometry.Chain(self.model, "tool_tip", self.env.robot.joints)
+        low, high = jnp.asarray(self.model.jnt_range[[self.model.joint(j).id for j in self.env.robot.joints]].T)
+        ids, weight = self.robot, 0.2  # m per rad
+
+        def solve(qpos, place, along):
+            def improve(_, qpos):
+                pos, rot, jacobian = chain(qpos)
+                error = jnp.concatenate([place - pos, weight * jnp.cross(rot[:, 2], along)])
+                jacobian = jnp.concatenate([jacobian[:3], weight * jacobian[3:]])
+                step = jacobian.T @ jnp.linalg.solve(jacobian @ jacobian.T + 1e-4 * jnp.eye(6), error)
+                return qpos.at[ids].set(jnp.clip(qpos[ids] + jnp.clip(step, -0.2, 0.2), low, high))
+
+            qpos = jax.lax.fori_loop(0, 50, improve, qpos)
+            pos, rot, _ = chain(qpos)
+            near = (jnp.linalg.norm(place - pos) < 3e-3) & (jnp.linalg.norm(jnp.cross(rot[:, 2], along)) < 0.25)
+            return qpos, near
+
+        return jax.jit(jax.vmap(solve))
+
+    def contacts(self, qpos, margin=0.0):
+        self.model.geom_margin[self.of_robot] = margin
+        self.data.qpos[:] = qpos
+        mujoco.mj_fwdPosition(self.model, self.data)
+        self.model.geom_margin[self.of_robot] = 0.0
+        return [(set(map(int, c.geom)), c.dist) for c in self.data.contact]
+
+    def possible(self, posture):
+        """Whether the person can get there from rest, with the robot at its start, and hold it."""
+        for share in np.linspace(0.0, 1.0, STEP):
+            qpos = self.rest.copy()
+            qpos[self.person] += share * (posture - self.rest[self.person])
+            for geoms, distance in self.contacts(qpos, CLEAR):
+                between = any(self.of_robot[g] for g in geoms) and any(self.of_person[g] for g in geoms)
+                if distance < (CLEAR if between else -2 * DEEP):
+                    return False
+        self.data.qvel[:] = 0.0
+        mujoco.mj_forward(self.model, self.data)
+        needed = np.abs(self.data.qfrc_bias - self.data.qfrc_passive)[self.person]
+        return bool((needed <= self.strength).all())
+
+    def touched(self, posture):
+        """Which cells [n] the tool touches with the person in a posture."""
+        qpos = self.rest.copy()
+        qpos[self.person] = posture
+        self.data.qpos[:] = qpos
+        mujoco.mj_kinematics(self.model, self.data)
+        bodies = self.data.xmat[self.model.geom_bodyid[self.skin]].reshape(-1, 3, 3)[self.segment]
+        origins = self.data.xpos[self.model.geom_bodyid[self.skin]][self.segment]
+        places = origins + np.einsum("nij,nj->ni", bodies, self.points)
+        normals = np.einsum("nij,nj->ni", bodies, self.normals)
+        away = (places - self.base) * [1, 1, 0]
+        along = LEAN[self.task] * away / np.linalg.norm(away, axis=1, keepdims=True) - normals
+        along /= np.linalg.norm(along, axis=1, keepdims=True)
+        found = np.zeros(len(places), bool)
+        for spread in (0.0, 0.5, 0.9):
+            start = np.repeat(qpos[None], len(places), 0)
+            start[:, self.robot] += self._rng.uniform(-spread, spread, (len(places), len(self.robot)))
+            poses, near = self._solve(
+                jnp.asarray(start), jnp.asarray(places + TIP[self.task] * normals), jnp.asarray(along)
+            )
+            for i in np.flatnonzero(~found & np.asarray(near)):
+                found[i] = self._touches(np.asarray(poses[i], float), self.skin[self.segment[i]])
+        return found
+
+    def _touches(self, qpos, skin):
+        touching = False
+        for geoms, distance in self.contacts(qpos):
+            if skin in geoms and any(self.of_robot[g] for g in geoms):
+                touching |= distance < 0
+                if distance < -PRESSED:
+                    return False
+            elif distance < -DEEP:
+                return False
+        return touching
+
+
+def neighbourhood(touched):
+    """Share of a cell's nine neighbours that are touched [postures, cells]: a place in the middle is a safe one."""
+    grid = touched.reshape(len(touched), len(SEGMENTS), *CELLS).astype(float)
+    rows = [np.clip(np.arange(CELLS[0]) + d, 0, CELLS[0] - 1) for d in (-1, 0, 1)]
+    return np.mean([np.roll(grid[:, :, row], d, 3) for row in rows for d in (-1, 0, 1)], 0).reshape(len(touched), -1)
+
+
+def choose(worth, count):
+    """Rest, which is the first, and `count` postures that together are worth most, one after the other."""
+    chosen = [0]
+    for _ in range(count):
+        chosen.append(int(np.maximum(worth, worth[chosen].max(0)).sum(1).argmax()))
+    return chosen
+
+
+def offers(task: str) -> dict:
+    reach = Reach(task)
+    limits = reach.model.jnt_range[[reach.model.joint(j).id for j in reach.env.spec.scene.human_driven]]
+    grid = product(*(np.linspace(low + 0.1, high - 0.1, GRID) for low, high in limits))
+    postures = [reach.rest[reach.person]] + [np.array(p) for p in grid if reach.possible(np.array(p))]
+    touched = np.array([reach.touched(posture) for posture in postures])
+    rest, some = touched[0].mean(), touched.any(0).mean()
+    print(f"{task}: {len(postures)} postures; {rest:.0%} of the skin touched at rest, {some:.0%} in some")
+    if task == "scratch":
+        worth = neighbourhood(touched)
+        chosen = choose(worth, MORE[task])
+        best = (worth[chosen] + 0.15 * (np.arange(len(chosen)) == 0)[:, None]).argmax(0).reshape(len(SEGMENTS), *CELLS)
+        told = {part: ["".join(map(str, row)) for row in rows] for part, rows in zip(SEGMENTS, best, strict=True)}
+        covered = worth
+    else:
+        bath = reach.env.task
+        points = np.concatenate([np.asarray(xs) for xs in bath.points])
+        apart = np.linalg.norm(points[:, None] - reach.points, axis=-1)
+        near = (apart < AROUND_PAD) & (bath.segment[:, None] == reach.segment)
+        washed = touched.astype(int) @ near.T >= 2
+        sides = np.linspace(-np.pi, np.pi, 32, endpoint=False)
+        dirty = np.cos(np.asarray(bath._angle) - sides[:, None]) >= np.cos(bath.config.dirty)
+        covered = (washed[:, None] & dirty).sum(2) / dirty.sum(1)
+        chosen = choose(covered**4, MORE[task])
+        told = {"shown": ["".join(map(str, row.astype(int))) for row in washed[chosen]]}
+    for some in (chosen[:n] for n in range(1, len(chosen) + 1)):
+        print(f"  {np.round(postures[some[-1]], 2)}: {covered[some].max(0).mean():.1%}")
+    return {"postures": np.round([postures[i] for i in chosen], 3).tolist(), **told}
+
+
+if __name__ == "__main__":
+    OFFERS.write_text(json.dumps({task: offers(task) for task in ("scratch", "bed_bath")}, indent=1) + "\n")
