@@ -6,12 +6,17 @@ import shutil
 import signal
 import time
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
-from stored import small, store_checkpoint, stored_run
+from stored import randomly, small, store_checkpoint, stored_run
 
 from assistax.errors import UsageError
 from assistax.training import journal, loop
-from assistax.training.clock import Stop
+from assistax.training.checkpoint import read_metadata, save_checkpoint
+from assistax.training.clock import Clock, Stop
+from assistax.training.configuration import configure
 from assistax.training.lock import locked
 from assistax.training.loop import train
 from assistax.training.run import Run
@@ -46,14 +51,14 @@ def test_settings_that_were_changed_since_the_checkpoint_are_refused(tmp_path):
     run = stored_run(tmp_path / "run", small(steps=640))
     path = run.newest_checkpoint()
     metadata = {"task": "scratch-v1", "algorithm": "ippo", "steps": 64, "seconds": {}}
-    loop.save_checkpoint(path, {}, metadata | {"settings": loop._settings(run)})
+    save_checkpoint(path, {}, metadata | {"settings": loop._settings(run)})
     stored = json.loads((run.folder / "config.json").read_text())
     for change in ({"num_steps": 16}, {"learning_rate": 0.5}):
         (run.folder / "config.json").write_text(json.dumps(stored | {"ppo": stored["ppo"] | change}))
         (name,) = change
         with pytest.raises(UsageError, match=f"config.json was changed: ppo.{name} is"):
             train(Run.open(run.folder))
-    loop.save_checkpoint(path, {}, metadata)  # of an earlier version
+    save_checkpoint(path, {}, metadata)  # of an earlier version
     (run.folder / "config.json").write_text(json.dumps(stored | {"ppo": stored["ppo"] | {"num_steps": 20}}))
     with pytest.raises(UsageError, match="at step 64, which no iteration of 160 steps ends at"):
         train(Run.open(run.folder))
@@ -92,6 +97,42 @@ def test_rows_that_are_missing_are_said_and_written_down(tmp_path, capsys, monke
     shutil.copytree(run.folder, tmp_path / "copy")
     (tmp_path / "copy/metrics.jsonl").unlink()
     assert journal.missing(tmp_path / "copy", "metrics", [64, 128, 192], [0]) == 3
+
+
+def test_a_replay_is_written_once_and_not_with_every_checkpoint(tmp_path):
+    settings = {"sac.buffer_size": 8192, "sac.hidden": (8,), "sac.num_steps": 8}
+    run = Run.create(configure("scratch", settings, algorithm="masac", num_envs=8, num_seeds=2), tmp_path / "run")
+
+    def is_key(x):
+        return jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
+
+    def random_state(seed):
+        leaves, tree = jax.tree.flatten(jax.eval_shape(run.trainer.init, jax.random.key(0)))
+        return tree.unflatten(
+            jax.random.split(jax.random.key(seed), x.shape) if is_key(x) else jnp.asarray(randomly(x, 1000 * seed + i))
+            for i, x in enumerate(leaves)
+        )
+
+    states = [random_state(seed) for seed in run.config.seeds]
+    training = loop._Training(run, Stop())
+    training.clock = Clock({})
+    with journal.Journal(run.folder, "metrics") as metrics, journal.Journal(run.folder, "evaluations") as evaluations:
+        training.metrics, training.evaluations = metrics, evaluations
+        for done in (1, 2, 3):
+            training._save(states, done)
+    checkpoints = sorted((run.folder / "checkpoints").glob("*.safetensors"))
+    assert [path.stem for path in checkpoints] == ["step_000000000128", "step_000000000192"]
+    about = read_metadata(checkpoints[-1])
+    (rows,) = {len(lanes) for lanes in about["pieces"].values()}
+    written = sum(path.stat().st_size for path in run.folder.glob("checkpoints/pieces/*"))
+    replay = sum(x.nbytes for state in states for x in jax.tree.leaves(state.replay))
+    assert rows == 2 and checkpoints[-1].stat().st_size < replay / 5 and 0.8 * replay < written < replay
+    found, done, _ = loop._Training(run, Stop())._start()
+    assert done == 3
+    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(states), strict=True):
+        if is_key(a):
+            a, b = jax.random.key_data(a), jax.random.key_data(b)
+        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])

@@ -19,8 +19,7 @@ from assistax.policies import Team
 from assistax.results.figures import learning_curve
 from assistax.results.stored import flat
 from assistax.stamp import peak_memory_mb, stamp
-from assistax.training import journal
-from assistax.training.checkpoint import load_checkpoint, save_checkpoint
+from assistax.training import journal, pieces
 from assistax.training.clock import Clock, Stop, progress_bar
 from assistax.training.configuration import to_json
 from assistax.training.journal import Journal
@@ -129,7 +128,7 @@ class _Training:
                 f"{run.config.steps}; name more steps, or leave --steps out."
             )
         print(_COMPILING, file=sys.stderr)
-        state = self.seeds.split(load_checkpoint(path, self.seeds.like(self.trainer.init)))
+        state = self.seeds.split(pieces.load(path, self.seeds.like(self.trainer.init)))
         run.write_config(about["steps"])
         for name in ("metrics", "evaluations"):
             journal.keep(run.folder, name, about["steps"])
@@ -176,9 +175,10 @@ class _Training:
         about = {"task": config.task, "algorithm": config.algorithm, "steps": steps, "settings": _settings(self.run)}
         folder = self.run.folder / "checkpoints"
         path = folder / f"step_{steps:012d}.safetensors"
-        save_checkpoint(path, self.seeds.join(state), about | {"seconds": self.clock.seconds})
+        pieces.save(path, self.seeds.join(state), about | {"seconds": self.clock.seconds})
         for old in sorted(folder.glob("step_*.safetensors"))[:-2]:
             old.unlink()
+        pieces.prune(folder)
 
     # -- the end -------------------------------------------------------------------------------
 

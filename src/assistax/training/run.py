@@ -3,7 +3,7 @@
 config.json           what was asked for
 partners/             copies of the frozen partners that were trained, see partners.py
 metrics.jsonl         evaluations.jsonl: see journal.py
-checkpoints/          the newest two, each written whole or not at all
+checkpoints/          the newest two, each written whole or not at all; what is large lies in pieces, see pieces.py
 learning_curve.png    summary.json    rollout.mp4
 """
 

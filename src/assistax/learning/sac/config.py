@@ -17,7 +17,7 @@ class SACConfig:
     updates: int = 32  # gradient steps per iteration
     batch_size: int = 512  # transitions per gradient step
     gamma: float = 0.99  # discount per control step
-    buffer_size: int = 1_000_000  # transitions; about 0.5 GB, in memory and in every checkpoint
+    buffer_size: int = 1_000_000  # transitions; about 0.5 GB, in memory and on the disk
     warmup: int = 5_000  # transitions played with uniformly random actions, before the policy plays
     initial_alpha: float = 1.0  # temperature: weight of the entropy beside the reward
     noise_correlation: float = 0.0  # of the exploration from one step to the next
