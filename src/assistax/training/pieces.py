@@ -131,4 +131,4 @@ def _damaged(path: Path, name: str, what: str) -> Damaged:
             return name not in _listed(other)
         return False
 
-    return Damaged(path, f"its piece {path.parent / _FOLDER / name} {what}", spared)
+    return Damaged(path, f"its piece {str(path.parent / _FOLDER / name)!r} {what}", spared)
