@@ -106,8 +106,9 @@ def test_a_replay_is_written_once_and_not_with_every_checkpoint(tmp_path):
     def is_key(x):
         return jnp.issubdtype(x.dtype, jax.dtypes.prng_key)
 
+    leaves, tree = jax.tree.flatten(jax.eval_shape(run.trainer.init, jax.random.key(0)))
+
     def random_state(seed):
-        leaves, tree = jax.tree.flatten(jax.eval_shape(run.trainer.init, jax.random.key(0)))
         return tree.unflatten(
             jax.random.split(jax.random.key(seed), x.shape) if is_key(x) else jnp.asarray(randomly(x, 1000 * seed + i))
             for i, x in enumerate(leaves)
@@ -149,3 +150,46 @@ def test_a_signal_asks_to_stop_and_two_at_once_count_once(number, monkeypatch):
             os.kill(os.getpid(), number)
             time.sleep(0.1)
     assert signal.getsignal(number) == before
+
+
+def signal_this(*_, **__):
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(0.01)
+
+
+def test_a_signal_ends_an_evaluation_and_the_resumed_run_makes_up_for_it(tmp_path, monkeypatch):
+    run = stored_run(tmp_path / "run", small(steps=640, num_seeds=3, settings={"evaluations": 2}))
+    (done,) = run.evaluate_at
+    monkeypatch.setattr(run, "team", lambda seed: seed)
+    result = {"metrics": {"return": np.zeros(2)}, "terms": {}}
+
+    def evaluated(signalled_at=None):
+        """The seeds that are played; the state of a seed is its number here."""
+        played = []
+        with Stop() as stop, journal.Journal(run.folder, "evaluations") as rows:
+            training = loop._Training(run, stop)
+            training.evaluations, training.clock = rows, Clock({})
+            training.evaluator = lambda team: (played.append(team), team == signalled_at and signal_this(), result)[2]
+            training._evaluate_due(done, [0, 1, 2])
+            assert training._missing(done)["evaluations"] == 0  # those before
+        return played
+
+    assert evaluated(signalled_at=1) == [0, 1] and evaluated() == [2] and evaluated() == []
+    rows = journal.read(run.folder, "evaluations")
+    assert [(row["steps"], row["seed"]) for row in rows] == [(done * 64, seed) for seed in (0, 1, 2)]
+
+
+@pytest.mark.parametrize("during", ["evaluation", "film"])
+def test_a_signal_after_the_last_iteration_does_not_wait_for_the_film(during, tmp_path, monkeypatch):
+    run = stored_run(tmp_path / "run", small(steps=64))
+    result = {"metrics": {"return": np.zeros(2)}, "terms": {}, "playing": np.ones((2, 3), bool)}
+    result |= {"qpos": np.zeros((2, 3, 1)), "marker": np.zeros((2, 3, 3))}
+    monkeypatch.setattr(loop._Training, "_start", lambda self: (None, run.iterations, Clock({})))
+    monkeypatch.setattr(loop, "summarize", lambda result: {"success_rate": 0.0, "mean_return": 0.0})
+    monkeypatch.setattr(loop, "learning_curve", lambda *_: None)
+    monkeypatch.setattr(loop, "film", lambda *_: (during == "film" and signal_this(), time.sleep(10)))
+    play = lambda team: (during == "evaluation" and signal_this(), result)[1]  # noqa: E731
+    monkeypatch.setattr(loop, "Evaluator", lambda *_: play)
+    began = time.monotonic()
+    assert train(run) is None and time.monotonic() - began < 5
+    assert (run.folder / "summary.json").exists() == (during == "film")
