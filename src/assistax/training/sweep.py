@@ -42,6 +42,7 @@ from assistax.training.checkpoint import read_metadata
 from assistax.training.clock import Clock, Stop, progress_bar
 from assistax.training.configuration import TrainConfig, check_settings, stored_config, to_json
 from assistax.training.loop import CHECKPOINT_SECONDS
+from assistax.training.memory import check_memory
 from assistax.training.partners import keep_partners
 from assistax.training.run import Run
 from assistax.training.search import Search, draw, intervals
@@ -89,6 +90,8 @@ class Sweep:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise UsageError(f"{folder} is already in use; name another --out, or continue it with --resume {folder}.")
         sweep = cls(folder, config, search, draw(search, count, config.seed))
+        for run in set(sweep._runs.values()):
+            check_memory(run.trainer)
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
