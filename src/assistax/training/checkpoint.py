@@ -25,7 +25,7 @@ EVERYTHING = ("",)
 
 
 class Damaged(UsageError):
-    """A checkpoint or team file that does not hold what was written into it; `spared` says which older ones still do."""
+    """A checkpoint or team file that does not hold what was saved; `spared` tells which older ones still do."""
 
     def __init__(self, path: Path, what: str, spared: Callable[[Path], bool] = lambda older: True):
         older = [p for p in path.parent.glob("step_*.safetensors") if path.stem.startswith("step_") and p < path]
