@@ -297,6 +297,38 @@ def test_sizes_beyond_what_can_be_counted(choices, words):
     assert configure("scratch", {}, seed=2**32 - 1).seed == 2**32 - 1
 
 
+@pytest.mark.parametrize(
+    ("algorithm", "settings", "words"),
+    [
+        ("masac", {"sac.buffer_size": 10**13}, "sac.buffer_size must be below 2^31"),
+        ("masac", {"sac.updates": 10**13}, "sac.updates must be below 2^31"),
+        ("masac", {"sac.warmup": 10**13}, "sac.warmup must be 0 or more and below 2^31"),
+        ("masac", {"sac.batch_size": 2**31 - 1}, "sac.batch_size must be at most 16777216"),
+        ("masac", {"sac.hidden": (10**13,)}, "sac.hidden must be"),
+        ("ippo", {"ppo.hidden": (10**13, 8)}, "ppo.hidden must be"),
+        ("ippo", {"ppo.update_epochs": 10**13}, "ppo.update_epochs must be below 2^31"),
+        ("ippo", {"env.episode_length": 10**13}, "env.episode_length must be below 2^31"),
+        ("ippo", {"env.num_threads": 10**9}, "env.num_threads must be from 0 (all cores) to 65536"),
+    ],
+)
+def test_settings_beyond_what_can_be_counted(algorithm, settings, words):
+    with pytest.raises(UsageError) as error:
+        configure("scratch", settings, algorithm=algorithm)
+    assert words in str(error.value)
+
+
+def test_what_memory_cannot_hold_is_refused_before_there_is_a_folder(tmp_path, monkeypatch):
+    monkeypatch.setattr("assistax.training.memory.memory_gb", lambda: 900.0)
+    for config, part in (
+        (configure("scratch", {"sac.buffer_size": 2**31 - 1}, algorithm="masac"), "replay"),
+        (configure("scratch", {}, algorithm="masac", num_seeds=9000), "replay"),
+        (configure("scratch", {"ppo.num_steps": 3 * 2**21}), "the steps of an iteration"),
+    ):
+        with pytest.raises(UsageError, match=rf"would take [\d,]+ GB .* for {part}, and there are 900 GB"):
+            Run.create(config, tmp_path / "run")
+    assert not list(tmp_path.iterdir())
+
+
 def test_too_little_memory_is_one_line(refused, monkeypatch):
     def train(**_):
         raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory allocating 1280000000 bytes.")

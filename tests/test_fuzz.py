@@ -5,6 +5,7 @@ import json
 import shutil
 
 import jax
+import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -19,6 +20,7 @@ from assistax.formats import PARTNER, TRIAL, UNFINISHED
 from assistax.human.population import people
 from assistax.results.comparison import read_references, report, tables
 from assistax.results.stored import StoredRun, curve, experiments, find_runs
+from assistax.training import pieces
 from assistax.training.checkpoint import EVERYTHING, content_hash, load_checkpoint, read_metadata, save_checkpoint
 from assistax.training.configuration import trained_env
 from assistax.training.run import Run
@@ -43,12 +45,16 @@ def readers(tmp_path_factory):
     (sweep / "trials.jsonl").write_text(2 * (json.dumps(TRIAL_ROW) + "\n"))
     unfinished = sweep / "unfinished.safetensors"
     save_checkpoint(unfinished, {}, {"trials": [[0, 0]], "points": [[[1.0, 1, 1.0]]], "seconds": {"training": 1.0}})
+    state = {"ring": np.arange(64, dtype=np.float32).reshape(1, 64), "n": np.zeros(1, np.int32)}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pieces, "PIECE", 64)
+        pieces.save(place / "step_1.safetensors", state, {})
     (place / "experts.json").write_text(json.dumps(RECORDS))
     (place / "people.json").write_text('[{"disability": "tremor", "preference": "default"}]')
     like = params_like(trained_env(small())[1])
-    state = jax.eval_shape(run.trainer.init, jax.random.key(0))
-    state = {
-        name: jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape), x.dtype), getattr(state, name))
+    whole = jax.eval_shape(run.trainer.init, jax.random.key(0))
+    parts = {
+        name: jax.tree.map(lambda x: jax.ShapeDtypeStruct((1, *x.shape), x.dtype), getattr(whole, name))
         for name in ("params", "normalizer")
     }
 
@@ -62,7 +68,7 @@ def readers(tmp_path_factory):
 
     def checkpoint(path):
         check_checkpoint(path, run.config)
-        for name, part in state.items():
+        for name, part in parts.items():
             load_checkpoint(path, part, f".{name}")
 
     def play(path):
@@ -83,6 +89,7 @@ def readers(tmp_path_factory):
         place / "people.json": people,
         sweep / "sweep.json": lambda path: read_sweep(path.parent),
         sweep / "trials.jsonl": lambda path: rank(read_rows(path, TRIAL)),
+        place / "step_1.safetensors": lambda path: pieces.load(path, state),
         unfinished: lambda path: read_metadata(path, UNFINISHED),
         saved: checkpoint,
         team: play,

@@ -16,7 +16,8 @@ from safetensors.numpy import load_file
 from stored import store_checkpoint
 
 from assistax.errors import UsageError
-from assistax.training import journal
+from assistax.training import journal, pieces
+from assistax.training.checkpoint import read_metadata
 from assistax.training.configuration import configure
 from assistax.training.loop import train
 from assistax.training.partners import find_partner
@@ -175,19 +176,28 @@ class _no_clock:
 TRAIN = """
 import sys
 from pathlib import Path
-import assistax.training.loop as loop
+from assistax.training import loop, pieces
 
-loop.CHECKPOINT_SECONDS = 0.1
+loop.CHECKPOINT_SECONDS, pieces.PIECE = 0.1, 4096
 loop.train(loop.Run.open(Path(sys.argv[1])))
 """
 
 
-def test_kill_9_loses_at_most_the_work_since_the_last_checkpoint(tmp_path):
-    """Killed at a random moment and resumed, a recurrent run ends with the very numbers of one left alone."""
+SAC_SMALL = {"sac.num_steps": 8, "sac.updates": 2, "sac.batch_size": 16, "sac.buffer_size": 640, "sac.hidden": (8, 8)}
+SAC_SMALL |= {"sac.warmup": 128, "env.episode_length": 16}
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "settings"),
+    [("ippo", SMALL | {"ppo.recurrent": True}), pytest.param("masac", SAC_SMALL, marks=pytest.mark.slow)],
+)
+def test_kill_9_loses_at_most_the_work_since_the_last_checkpoint(algorithm, settings, tmp_path, monkeypatch):
+    """Killed at a random moment and resumed, a run ends with the very numbers of one left alone."""
+    monkeypatch.setattr(pieces, "PIECE", 4096)
     folders = [tmp_path / name for name in ("killed", "alone")]
-    settings = SMALL | {"evaluations": 4, "evaluation_episodes": 3}
+    settings = settings | {"evaluations": 4, "evaluation_episodes": 3}
     for folder in folders:
-        Run.create(configure("scratch", settings, recurrent=True, num_envs=8, steps=64 * 60), folder)
+        Run.create(configure("scratch", settings, algorithm=algorithm, num_envs=8, steps=64 * 60), folder)
     process = subprocess.Popen([sys.executable, "-c", TRAIN, folders[0]], stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 200
     while max((folders[0] / "checkpoints").glob("*.safetensors"), default=Path("step_0")).stem.strip("step_0") == "":
@@ -204,10 +214,13 @@ def test_kill_9_loses_at_most_the_work_since_the_last_checkpoint(tmp_path):
         file.write('{"steps": 999')  # a line that the kill tore
     for folder in folders:
         assert train(Run.open(folder))
-    killed, alone = (load_file(max((f / "checkpoints").glob("*.safetensors"))) for f in folders)
-    assert killed.keys() == alone.keys() and any("gru" in name for name in alone)
+    last = [max((f / "checkpoints").glob("*.safetensors")) for f in folders]
+    killed, alone = map(load_file, last)
+    assert killed.keys() == alone.keys() and any("gru" in name for name in alone) == (algorithm == "ippo")
     for name in alone:
         np.testing.assert_array_equal(killed[name], alone[name], err_msg=name)
+    lists = [read_metadata(path)["pieces"] for path in last]  # by the hashes of their content
+    assert lists[0] == lists[1] and bool(lists[0]) == (algorithm == "masac")
     rows = [[r["episode"]["return"] for r in journal.read(f, "metrics")] for f in folders]
     assert len(rows[0]) == 60 and rows[0] == rows[1]
     evaluations = [journal.read(f, "evaluations") for f in folders]

@@ -20,7 +20,8 @@ from assistax.learning.sac.replay import Packing, add, init_replay, sample
 from assistax.learning.squashed import log_tanh_slope, sample_squashed, split_head, squashed_log_prob
 from assistax.learning.tuned import tunable
 from assistax.policies import Player, Still
-from assistax.training.checkpoint import load_checkpoint, save_checkpoint
+from assistax.training import pieces
+from assistax.training.seeds import Lanes
 
 
 class Carrying(Game):
@@ -291,12 +292,15 @@ def test_exploration_is_correlated_alike_in_training_and_as_a_partner():
             assert abs(np.corrcoef(u[t], u[t + 1])[0, 1] - 0.8) < 0.05
 
 
-def test_resumed_equals_uninterrupted(scratch, tmp_path):
+def test_resumed_equals_uninterrupted(scratch, tmp_path, monkeypatch):
+    monkeypatch.setattr(pieces, "PIECE", 512)
     config = SACConfig(num_steps=4, updates=2, batch_size=16, buffer_size=48, warmup=20)
     trainer = SAC(scratch, config, num_envs=4, total_iterations=6)
     half, _ = train(trainer, 3)
-    save_checkpoint(tmp_path / "half", half, {})
-    loaded = load_checkpoint(tmp_path / "half", jax.eval_shape(trainer.init, jax.random.key(0)))
+    lanes = Lanes(1)
+    pieces.save(tmp_path / "half", lanes.join([half]), {})
+    assert len(list(tmp_path.glob("pieces/*"))) > 10
+    (loaded,) = lanes.split(pieces.load(tmp_path / "half", lanes.like(trainer.init, [jax.random.key(0)])))
     loaded, _ = train(trainer, 3, loaded)
     whole, _ = train(trainer, 6)
     assert int(whole.iteration) == 6 and int(whole.replay.size) == 48

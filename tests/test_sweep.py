@@ -211,6 +211,7 @@ class StopAfter:
 
 
 def test_stopped_anywhere_and_resumed_a_sweep_ends_as_one_left_alone(whole, tmp_path, monkeypatch):
+    monkeypatch.setattr(assistax.training.sweep.pieces, "PIECE", 8)
     folder, finished, result = tmp_path / "stopped", [], None
     Sweep.create(small(), folder, 2, SEARCHED)
     for times in (7, 2, 0, 6, 1000):
@@ -219,10 +220,10 @@ def test_stopped_anywhere_and_resumed_a_sweep_ends_as_one_left_alone(whole, tmp_
         result = sweep.run()
         finished.append(len(lines(sweep)))
         if result is None:  # a crash on top of it, in the middle of a line
-            assert (folder / "unfinished.safetensors").exists()
+            assert (folder / "unfinished.safetensors").exists() and list(folder.glob("pieces/*"))
             with open(folder / "trials.jsonl", "a") as file:
                 file.write('{"config": 0, "see')
-    assert finished == [1, 1, 1, 3, 4] and result == whole[1]
+    assert finished == [1, 1, 1, 3, 4] and result == whole[1] and not list(folder.glob("pieces/*"))
 
     def told(sweep):
         return [{name: value for name, value in row.items() if name != "seconds"} for row in lines(sweep)]

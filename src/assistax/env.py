@@ -23,7 +23,7 @@ from assistax.human import HumanConfig, HumanProfile, disability, harm, preferen
 from assistax.physics import PhysicsState, make_engine
 from assistax.physics.batching import map_where, whole_batch
 from assistax.pytree import pytree
-from assistax.settings import with_settings
+from assistax.settings import check_count, with_settings
 from assistax.spaces import Box
 from assistax.tasks import task_spec
 from assistax.tasks.base import Sensors, TaskState
@@ -50,11 +50,12 @@ class EnvConfig:
 
     def __post_init__(self):
         for name in ("episode_length", "substeps", "contacts_per_env", "constraints_per_env"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"env.{name} must be 1 or more, not {getattr(self, name)}.")
+            check_count(f"env.{name}", getattr(self, name))
         for name in ("reset_noise", "force_limit", "num_threads"):
             if not getattr(self, name) >= 0:
                 raise UsageError(f"env.{name} must be 0 or more, not {getattr(self, name)}.")
+        if self.num_threads > 2**16:
+            raise UsageError(f"env.num_threads must be from 0 (all cores) to 65536, not {self.num_threads}.")
         if not 0 < self.torque_scale <= 1:
             raise UsageError(f"env.torque_scale must be in (0, 1], not {self.torque_scale}.")
         choose("control mode", self.control, ["torque", "position"])

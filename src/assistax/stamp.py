@@ -1,6 +1,7 @@
 """Where a result comes from: versions, commit, hardware."""
 
 import hashlib
+import math
 import os
 import platform
 import resource
@@ -82,6 +83,16 @@ def hardware() -> str:
         query = ["sysctl", "-n", "machdep.cpu.brand_string"]
         name = subprocess.run(query, capture_output=True, text=True, check=False).stdout.strip() or name
     return f"{os.cpu_count()} cores, {name}"
+
+
+def memory_gb() -> float:
+    """The memory that JAX's arrays can have, in GB: the accelerator's, or on a CPU all of the machine's."""
+    import jax
+
+    device = jax.devices()[0]
+    if device.platform == "cpu":
+        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 1e9
+    return (device.memory_stats() or {}).get("bytes_limit", math.inf) / 1e9
 
 
 def peak_memory_mb() -> float:

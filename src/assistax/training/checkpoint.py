@@ -6,7 +6,7 @@ and, under "", of the bytes of "about". Files of earlier versions lack it, and a
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -25,10 +25,11 @@ EVERYTHING = ("",)
 
 
 class Damaged(UsageError):
-    """A checkpoint or team file that does not hold what was written into it."""
+    """A checkpoint or team file that does not hold what was saved; `spared` tells which older ones still do."""
 
-    def __init__(self, path: Path, what: str):
+    def __init__(self, path: Path, what: str, spared: Callable[[Path], bool] = lambda older: True):
         older = [p for p in path.parent.glob("step_*.safetensors") if path.stem.startswith("step_") and p < path]
+        older = [p for p in older if spared(p)]
         advice = f"Remove it to continue from {max(older).name}" if older else "Restore it from a copy"
         super().__init__(f"{path} is damaged: {what}. {advice}.")
 

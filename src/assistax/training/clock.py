@@ -43,7 +43,7 @@ class Stop:
     """Asks to stop after this iteration: at Ctrl-C, SIGTERM or SIGHUP, or after `seconds`.
 
     Another signal interrupts at once, but for those that come within a second: `timeout` and terminals send a program
-    and its group one each.
+    and its group one each. Where nothing can be lost, with `at_once`, the first does too.
     """
 
     SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
@@ -52,16 +52,24 @@ class Stop:
     def __init__(self, seconds: float = math.inf):
         self._deadline = time.monotonic() + seconds
         self._first: float | None = None
+        self.at_once = False
         self._before: dict[int, Any] = {}
 
     @property
+    def signalled(self) -> bool:
+        """Whether somebody waits for it, who may lose patience."""
+        return self._first is not None
+
+    @property
     def asked(self) -> bool:
-        return self._first is not None or time.monotonic() > self._deadline
+        return self.signalled or time.monotonic() > self._deadline
 
     def _ask(self, *_) -> None:
         now = time.monotonic()
         if self._first is None:
             self._first = now
+            if self.at_once:
+                raise KeyboardInterrupt
             os.write(2, b"\nStopping after this iteration; once more stops at once.\n")  # safe in a signal handler
         elif now - self._first > self.TOGETHER:
             raise KeyboardInterrupt

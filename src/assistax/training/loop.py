@@ -4,7 +4,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from typing import Any
 
 import jax
@@ -19,8 +19,7 @@ from assistax.policies import Team
 from assistax.results.figures import learning_curve
 from assistax.results.stored import flat
 from assistax.stamp import peak_memory_mb, stamp
-from assistax.training import journal
-from assistax.training.checkpoint import load_checkpoint, save_checkpoint
+from assistax.training import journal, pieces
 from assistax.training.clock import Clock, Stop, progress_bar
 from assistax.training.configuration import to_json
 from assistax.training.journal import Journal
@@ -64,7 +63,7 @@ class _Training:
             total = run.iterations * per_iteration * run.config.num_seeds
             collecting = "policy" if self.engine.name == "mujoco" else "collect"  # others are part of the same program
             saved = time.monotonic()
-            leave = done == run.iterations
+            began = done
             with (
                 Journal(run.folder, "metrics") as self.metrics,
                 Journal(run.folder, "evaluations") as self.evaluations,
@@ -72,11 +71,15 @@ class _Training:
             ):
                 if done == 0:
                     self._save(state, done)  # before any row, so that a run that has rows can always go on
+                self._evaluate_due(done, state)  # a signal may have kept it from that
+                leave = done == run.iterations or self.stop.signalled
                 while not leave:
                     before = self.engine.seconds
                     with self.clock(collecting):
                         state, batch = jax.block_until_ready(collect(state))
                     self.clock.move(collecting, "physics", self.engine.seconds - before)
+                    if done == began and self.stop.signalled:
+                        return None  # nothing is lost yet, and the rest of the iteration has to be compiled
                     batches = self.seeds.each(batch)
                     for one in batches:
                         check_faults(one["log"]["fault"], self.engine.name)
@@ -90,14 +93,17 @@ class _Training:
                         mean = np.mean([row["episode"]["return"] for row in ended])
                         success = np.mean([row["episode"]["success"] for row in ended])
                         bar.set_postfix_str(f"return {mean:.0f}, success {success:.0%}", refresh=False)
-                    if done in run.evaluate_at:
-                        with self.clock("evaluation"):
-                            self._evaluate(done, map(run.team, self.seeds.each(state)))
+                    self._evaluate_due(done, state)
                     leave = done == run.iterations or self.stop.asked
                     if leave or time.monotonic() - saved > CHECKPOINT_SECONDS:
                         self._save(state, done)
                         saved = time.monotonic()
-            return self._finish() if done == run.iterations else None
+            if done < run.iterations or self.stop.signalled:
+                return None
+            try:
+                return self._finish()
+            except KeyboardInterrupt:
+                return None
 
     # -- the beginning -------------------------------------------------------------------------
 
@@ -129,7 +135,7 @@ class _Training:
                 f"{run.config.steps}; name more steps, or leave --steps out."
             )
         print(_COMPILING, file=sys.stderr)
-        state = self.seeds.split(load_checkpoint(path, self.seeds.like(self.trainer.init)))
+        state = self.seeds.split(pieces.load(path, self.seeds.like(self.trainer.init)))
         run.write_config(about["steps"])
         for name in ("metrics", "evaluations"):
             journal.keep(run.folder, name, about["steps"])
@@ -141,7 +147,7 @@ class _Training:
     def _missing(self, done: int) -> dict[str, int]:
         """By file, the rows that are not there."""
         run = self.run
-        wanted = {"metrics": range(1, done + 1), "evaluations": [i for i in run.evaluate_at if i <= done]}
+        wanted = {"metrics": range(1, done + 1), "evaluations": [i for i in run.evaluate_at if i < done]}
         return {
             name: journal.missing(run.folder, name, [i * run.steps_per_iteration for i in at], self.seeds.seeds)
             for name, at in wanted.items()
@@ -156,10 +162,24 @@ class _Training:
         plain = jax.tree.map(lambda x: np.asarray(x).item(), list(zip(self.seeds.seeds, logs, losses, strict=True)))
         return [about | {"seed": seed} | log | {"losses": loss} for seed, log, loss in plain]
 
-    def _evaluate(self, done: int, teams: Iterable[Team]) -> list[dict[str, Any]]:
-        """Play the evaluation with each seed's team and write down the episodes; returns what an Evaluator does."""
+    def _evaluate_due(self, done: int, state: Any) -> None:
+        """The evaluation that is due after so many iterations, of the seeds that have none yet."""
+        if done not in self.run.evaluate_at:
+            return
+        steps = done * self.run.steps_per_iteration
+        there = {row["seed"] for row in journal.read(self.run.folder, "evaluations") if row["steps"] == steps}
+        with self.clock("evaluation"):
+            self._evaluate(done, map(self.run.team, self.seeds.each(state)), there)
+
+    def _evaluate(self, done: int, teams: Iterable[Team], there: Container[int] = ()) -> list[dict[str, Any]]:
+        """Play the evaluation with the team of each seed that is not `there`, until a signal comes, and write it down.
+
+        Returns what an Evaluator does.
+        """
         results = []
         for seed, team in zip(self.seeds.seeds, teams, strict=True):
+            if seed in there or self.stop.signalled:
+                continue
             result = self.evaluator(team)
             found = by_episode(result)
             about = {"steps": done * self.run.steps_per_iteration, "seed": seed}
@@ -176,19 +196,23 @@ class _Training:
         about = {"task": config.task, "algorithm": config.algorithm, "steps": steps, "settings": _settings(self.run)}
         folder = self.run.folder / "checkpoints"
         path = folder / f"step_{steps:012d}.safetensors"
-        save_checkpoint(path, self.seeds.join(state), about | {"seconds": self.clock.seconds})
+        pieces.save(path, self.seeds.join(state), about | {"seconds": self.clock.seconds})
         for old in sorted(folder.glob("step_*.safetensors"))[:-2]:
             old.unlink()
+        pieces.prune(folder)
 
     # -- the end -------------------------------------------------------------------------------
 
-    def _finish(self) -> dict[str, Any]:
-        """Write summary, curve and film of a finished run; returns the summary."""
+    def _finish(self) -> dict[str, Any] | None:
+        """Write summary, curve and film of a finished run; returns the summary, None if a signal kept it from that."""
         run, config = self.run, self.run.config
         print("Evaluating and filming.", file=sys.stderr)  # in software, 200 frames take their time
         journal.keep(run.folder, "evaluations", (run.iterations - 1) * run.steps_per_iteration)  # the last is made anew
         with Journal(run.folder, "evaluations") as self.evaluations:
             results = self._evaluate(run.iterations, run.teams())
+        self.stop.at_once = True
+        if self.stop.signalled:
+            return None
         each = [summarize(result) for result in results]
         spent = self.clock.seconds
         steps = run.iterations * run.steps_per_iteration

@@ -3,7 +3,7 @@
 config.json           what was asked for
 partners/             copies of the frozen partners that were trained, see partners.py
 metrics.jsonl         evaluations.jsonl: see journal.py
-checkpoints/          the newest two, each written whole or not at all
+checkpoints/          the newest two, each written whole or not at all; what is large lies in pieces, see pieces.py
 learning_curve.png    summary.json    rollout.mp4
 """
 
@@ -22,6 +22,7 @@ from assistax.policies import Player, Team
 from assistax.settings import with_settings
 from assistax.stamp import stamp_changes
 from assistax.training.configuration import TrainConfig, check_settings, to_json
+from assistax.training.memory import check_memory
 from assistax.training.partners import GIVEN, find_partners, keep_partners
 from assistax.training.run_folder import learned, newest_checkpoint, read_config
 from assistax.training.seeds import Seeds
@@ -56,6 +57,7 @@ class Run:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise UsageError(f"{folder} is already in use; name another --out, or continue it with --resume {folder}.")
         run = cls(folder, dataclasses.replace(config, partner_copies=()), players)
+        check_memory(run.trainer, config.num_seeds)
         try:
             (folder / "checkpoints").mkdir(parents=True)
         except OSError as error:

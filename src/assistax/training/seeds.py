@@ -43,12 +43,28 @@ class Lanes:
         return _unstack(tree, self.count) if self._side_by_side else tree
 
     def join(self, state):
-        """With a leading axis of lanes."""
-        return state if self._side_by_side else _stack(state)
+        """With a leading axis of lanes; arrays, or `Joined` ones."""
+        return state if self._side_by_side else jax.tree.map(lambda *lanes: Joined(lanes), *state)
 
     def split(self, joined):
         """The opposite of `join`."""
-        return joined if self._side_by_side else _unstack(joined, self.count)
+        if self._side_by_side:
+            return jax.tree.map(lambda x: x.whole() if isinstance(x, Joined) else x, joined)
+        return _unstack(joined, self.count)
+
+
+class Joined:
+    """Arrays of one shape and type as one array with a leading axis, which is not made unless it is asked for."""
+
+    def __init__(self, lanes: Sequence[jax.Array]):
+        self._lanes = lanes
+        self.shape, self.dtype = (len(lanes), *lanes[0].shape), lanes[0].dtype
+
+    def __getitem__(self, lane: int) -> jax.Array:
+        return self._lanes[lane]
+
+    def whole(self) -> jax.Array:
+        return jnp.stack(self._lanes)
 
 
 class Seeds(Lanes):

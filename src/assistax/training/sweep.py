@@ -2,7 +2,7 @@
 
 sweep.json             what was asked for, and the configurations that were drawn
 trials.jsonl           one line per finished trial: a configuration trained with a seed
-unfinished.safetensors where the trials that were being trained stand
+unfinished.safetensors where the trials that were being trained stand; what is large lies in pieces, see pieces.py
 ranking.json           the configurations that have been tried, best first
 sweep.png              one panel per hyperparameter; sweep_NAME.png: one, as in the paper's appendix
 
@@ -37,10 +37,12 @@ from assistax.physics.engine import UNSTABLE
 from assistax.results.figures import save as save_figure
 from assistax.settings import with_settings
 from assistax.stamp import stamp, stamp_changes
-from assistax.training.checkpoint import load_checkpoint, read_metadata, save_checkpoint
+from assistax.training import pieces
+from assistax.training.checkpoint import read_metadata
 from assistax.training.clock import Clock, Stop, progress_bar
 from assistax.training.configuration import TrainConfig, check_settings, stored_config, to_json
 from assistax.training.loop import CHECKPOINT_SECONDS
+from assistax.training.memory import check_memory
 from assistax.training.partners import keep_partners
 from assistax.training.run import Run
 from assistax.training.search import Search, draw, intervals
@@ -88,6 +90,8 @@ class Sweep:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise UsageError(f"{folder} is already in use; name another --out, or continue it with --resume {folder}.")
         sweep = cls(folder, config, search, draw(search, count, config.seed))
+        for run in set(sweep._runs.values()):
+            check_memory(run.trainer)
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -172,7 +176,7 @@ class Sweep:
         about: dict[str, Any] = {"trials": [list(trial) for trial in chunk]}
         stored = read_metadata(path, UNFINISHED) if path.exists() else {}
         if stored.get("trials") == about["trials"]:
-            state = lanes.split(load_checkpoint(path, lanes.like(run.trainer.init, keys, tuned), finite=()))
+            state = lanes.split(pieces.load(path, lanes.like(run.trainer.init, keys, tuned), finite=()))
             about["points"], clock = stored["points"], Clock(stored["seconds"])
         else:
             state = program.start(keys, tuned)
@@ -182,7 +186,8 @@ class Sweep:
         while done < run.iterations and any(map(is_sound, points)):
             leave = stop.asked
             if leave or time.monotonic() - saved > CHECKPOINT_SECONDS:
-                save_checkpoint(path, lanes.join(state), about | {"seconds": clock.seconds})
+                pieces.save(path, lanes.join(state), about | {"seconds": clock.seconds})
+                pieces.prune(self.folder)
                 saved = time.monotonic()
             if leave:
                 return None
@@ -209,6 +214,7 @@ class Sweep:
             file.flush()
             os.fsync(file.fileno())
         (self.folder / "unfinished.safetensors").unlink(missing_ok=True)
+        pieces.prune(self.folder)
 
     def _title(self) -> str:
         seeds = f"{len(self.seeds)} seed{'s' * (len(self.seeds) > 1)}"

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from assistax.errors import UsageError, choose
 from assistax.learning.networks import ACTIVATIONS
+from assistax.settings import check_count
 
 
 @dataclass(frozen=True)
@@ -41,8 +42,7 @@ class PPOConfig:
 
     def __post_init__(self):
         for name in ("num_steps", "update_epochs", "num_minibatches"):
-            if getattr(self, name) < 1:
-                raise UsageError(f"ppo.{name} must be 1 or more, not {getattr(self, name)}.")
+            check_count(f"ppo.{name}", getattr(self, name))
         for name in ("learning_rate", "clip_eps", "max_grad_norm"):
             if getattr(self, name) <= 0:
                 raise UsageError(f"ppo.{name} must be above 0, not {getattr(self, name)}.")
@@ -63,7 +63,9 @@ class PPOConfig:
             raise UsageError(f"ppo.correlated_steps must be 0 (all of the run) or more, not {self.correlated_steps}.")
         if not 0 <= self.desired_kl < math.inf:
             raise UsageError(f"ppo.desired_kl must be 0 (none) or above, not {self.desired_kl}.")
-        if not all(size > 0 for size in self.hidden) or (not self.hidden and (self.recurrent or self.share_parameters)):
+        if not all(0 < size < 2**31 for size in self.hidden) or (
+            not self.hidden and (self.recurrent or self.share_parameters)
+        ):
             raise UsageError(f"ppo.hidden must be the sizes of one layer or more, not {self.hidden}.")
         choose("activation", self.activation, ACTIVATIONS)
 
