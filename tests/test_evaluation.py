@@ -21,14 +21,27 @@ def test_episodes_played_in_turns_are_those_played_at_once(scratch, monkeypatch)
     for name in ("metrics", "terms", "person"):
         jax.tree.map(np.testing.assert_array_equal, turns[name], whole[name])
     assert summarize(turns) == summarize(whole)
-    assert len(whole["qpos"]) == 5 and len(turns["qpos"]) == 2  # of the first turn only
-    np.testing.assert_array_equal(turns["qpos"], whole["qpos"][:2])
+    first = play(scratch, team, 2)["filmed"]  # of the first turn only
+    np.testing.assert_array_equal(turns["filmed"].qpos, first.qpos)
+
+
+def test_the_filmed_episode_tells_what_was_so_far(scratch):
+    result = play(scratch, scripted_team("random", scratch), 5)
+    filmed, episode = result["filmed"], typical(result["metrics"]["return"], 5)
+    assert filmed.qpos.shape == (20, scratch.model.nq) and filmed.marker.shape == filmed.force.shape == (20, 3)
+    for name, values in result["metrics"].items():
+        assert filmed.metrics[name].shape == (20,) and filmed.metrics[name][-1] == values[episode]
+    peaks = np.maximum.accumulate(np.linalg.norm(filmed.force, axis=1))
+    np.testing.assert_allclose(filmed.metrics["peak_force"], peaks, rtol=1e-6)
+    assert filmed.metrics["length"].tolist() == list(range(1, 21)) and not filmed.spots
+    arrays = [filmed.qpos, filmed.marker, filmed.force, *filmed.metrics.values()]
+    assert all(x.base is None for x in arrays)  # the other episodes are not kept along with it
 
 
 def test_the_film_shows_the_median_or_what_is_nearest_to_it():
     returns = np.array([5.0, 1.0, 4.0, 3.0, 2.0])
-    assert typical({"metrics": {"return": returns}, "playing": np.ones((5, 3))}) == 3
-    assert typical({"metrics": {"return": returns}, "playing": np.ones((3, 3))}) == 2
+    assert typical(returns, 5) == 3
+    assert typical(returns, 3) == 2
 
 
 def test_the_distribution_of_forces_is_numpys():

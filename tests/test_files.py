@@ -18,6 +18,7 @@ from test_results import write_run
 from assistax import cli
 from assistax.errors import UsageError
 from assistax.evaluation import film
+from assistax.evaluation.filmed import Filmed
 from assistax.files import mismatch, read_json, read_rows, write_atomically, writing
 from assistax.results.stored import find_runs
 from assistax.training.checkpoint import EVERYTHING, content_hash, load_checkpoint, read_metadata, save_checkpoint
@@ -266,15 +267,16 @@ def test_a_film_is_written_whole_or_not_at_all(tmp_path, monkeypatch, name):
 
     monkeypatch.setattr(film, "Camera", Camera)
     path, still = tmp_path / name, np.zeros((10, 3))
-    film.film("scratch", still, still, 0.04, path)
+    filmed = Filmed("scratch", 0.04, still, still)
+    film.film(filmed, path, view="main")
     before = path.read_bytes()
     assert len(before) > 50
     monkeypatch.setattr(os, "fsync", no_space)
     with pytest.raises(UsageError, match=f"Cannot write {path}: {FULL}"):
-        film.film("scratch", still, still, 0.04, path)
+        film.film(filmed, path, view="main")
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
     with pytest.raises(UsageError, match="Cannot write"):
-        film.film("scratch", still, still, 0.04, tmp_path / name / name)
+        film.film(filmed, tmp_path / name / name, view="main")
 
 
 # -- sizes -------------------------------------------------------------------------------------

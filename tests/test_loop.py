@@ -182,8 +182,7 @@ def test_a_signal_ends_an_evaluation_and_the_resumed_run_makes_up_for_it(tmp_pat
 @pytest.mark.parametrize("during", ["evaluation", "film"])
 def test_a_signal_after_the_last_iteration_does_not_wait_for_the_film(during, tmp_path, monkeypatch):
     run = stored_run(tmp_path / "run", small(steps=64))
-    result = {"metrics": {"return": np.zeros(2)}, "terms": {}, "playing": np.ones((2, 3), bool)}
-    result |= {"qpos": np.zeros((2, 3, 1)), "marker": np.zeros((2, 3, 3))}
+    result = {"metrics": {"return": np.zeros(2)}, "terms": {}, "filmed": None}
     monkeypatch.setattr(loop._Training, "_start", lambda self: (None, run.iterations, Clock({})))
     monkeypatch.setattr(loop, "summarize", lambda result: {"success_rate": 0.0, "mean_return": 0.0})
     monkeypatch.setattr(loop, "learning_curve", lambda *_: None)

@@ -17,6 +17,7 @@ from assistax.cli.train import train
 from assistax.diagnostics.bench import check_seconds
 from assistax.errors import UsageError
 from assistax.evaluation.film import Camera, film
+from assistax.evaluation.filmed import Filmed
 from assistax.evaluation.statistics import bootstrap_ci
 from assistax.human import HumanConfig
 from assistax.learning.algorithms import ALGORITHMS
@@ -92,7 +93,7 @@ def test_a_film_is_as_fast_as_what_it_shows(tmp_path, monkeypatch):
     steps = np.arange(1000.0)[:, None]
     for suffix in (".webp", ".gif"):
         shown.clear()
-        film("scratch", steps, steps, 0.008, tmp_path / f"a{suffix}")
+        film(Filmed("scratch", 0.008, steps, steps), tmp_path / f"a{suffix}", view="main")
         with Image.open(tmp_path / f"a{suffix}") as picture:
             assert picture.n_frames == len(shown) == 80
             durations.append(picture.info.get("duration"))

@@ -5,7 +5,6 @@ from pathlib import Path
 
 from assistax.evaluation import play
 from assistax.evaluation.film import film
-from assistax.evaluation.playing import typical
 from assistax.tasks import TASKS
 from assistax.training.team_file import load_team, trained_file
 
@@ -13,17 +12,13 @@ from assistax.training.team_file import load_team, trained_file
 def picture(task: str, folder: Path) -> None:
     """TASK.webp and, from the middle of the same episode, TASK.png."""
     env, team = load_team(trained_file(task))
-    result = play(env, team, 9)
-    episode = typical(result)
-    on = result["playing"][episode]
-    qpos, marker = result["qpos"][episode][on], result["marker"][episode][on]
-    film(task, qpos, marker, env.dt, folder / f"{task}.webp", width=400, height=300)
-    half = len(qpos) // 2
-    film(task, qpos[:half], marker[:half], env.dt, folder / f"{task}.png", width=960, height=640)
+    filmed = play(env, team, 9)["filmed"]
+    film(filmed, folder / f"{task}.webp", width=400, height=300)
+    film(filmed.first(len(filmed.qpos) // 2), folder / f"{task}.png", width=960, height=640)
 
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1] if len(sys.argv) > 1 else "docs/images")
-    for task in TASKS:
+    for task in dict.fromkeys(spec.name for spec in TASKS.values()):
         picture(task, folder)
         print(f"wrote {folder / task}.webp and .png")

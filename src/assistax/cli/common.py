@@ -108,13 +108,13 @@ def film_path(out: Path | None) -> Path | None:
     return out
 
 
-def film_episode(env, result, episode: int, path: Path | None, **camera) -> None:
-    """Film one episode of what a Player returned; without a path into TASK.mp4."""
+def film_episode(result, path: Path | None, plain: bool, **camera) -> None:
+    """Film the typical episode of what an Evaluator returned; without a path into TASK.mp4."""
     from assistax.evaluation.film import film
 
-    path = path or Path(f"{env.name}.mp4")
-    on = result["playing"][episode]
-    film(env.name, result["qpos"][episode][on], result["marker"][episode][on], env.dt, path, **camera)
+    filmed = result["filmed"]
+    path = path or Path(f"{filmed.task}.mp4")
+    film(filmed, path, plain, **camera)
     print(f"wrote {path}")
 
 

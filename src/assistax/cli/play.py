@@ -12,6 +12,7 @@ def play(
     out: File = None,
     engine: Name = None,
     set: Set = (),
+    plain: bool = False,
 ) -> None:
     """See the trained team that comes with a task: how it does, and a film of it.
 
@@ -21,8 +22,9 @@ def play(
       out: an .mp4, .webp, .gif or .png (default TASK.mp4).
       engine: auto, mujoco, warp or mjx.
       set: change any setting, for example env.human.disability=tremor, as in `assistax evaluate`.
+      plain: the film without caption, arrow of the force and spots on the skin.
     """
-    from assistax.evaluation.playing import play, summarize, typical
+    from assistax.evaluation.playing import play, summarize
 
     path = film_path(out)
     print(
@@ -36,4 +38,4 @@ def play(
     print(f"success        {found['success_rate']:.0%}")
     print(f"return         {found['mean_return']:.0f}")
     print(f"force          {force['mean_in_contact']:.1f} N in contact, {force['peak']:.0f} N at most")
-    film_episode(env, result, typical(result), path)
+    film_episode(result, path, plain)

@@ -13,7 +13,8 @@ def render(
     set: Set = (),
     width: int = 640,
     height: int = 480,
-    view: str = "main",
+    view: str = "auto",
+    plain: bool = False,
 ) -> None:
     """Film one episode.
 
@@ -31,13 +32,14 @@ def render(
       set: change any setting of the run or task, as in `assistax evaluate`.
       width: of the picture in pixels.
       height: of the picture in pixels.
-      view: camera: main or close.
+      view: camera: auto (from where target and tool are seen most of the time), main (the whole scene) or close.
+      plain: without caption, arrow of the force and spots on the skin.
     """
     from assistax.errors import choose
     from assistax.evaluation.playing import EVALUATION_SEED, play
 
-    choose("view", view, ["main", "close"])
+    choose("view", view, ["auto", "main", "close"])
     path = film_path(out)
     env, teams, _ = teams_of(target, policy, engine, set)
     result = play(env, teams[0], 1, EVALUATION_SEED if seed is None else seed)
-    film_episode(env, result, 0, path, width=width, height=height, view=view)
+    film_episode(result, path, plain, width=width, height=height, view=view)

@@ -1,6 +1,7 @@
 """Pictures and films of a scene."""
 
 import warnings
+from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -10,10 +11,18 @@ import numpy as np
 
 from assistax import scenes
 from assistax.errors import UsageError
+from assistax.evaluation.filmed import Filmed
+from assistax.evaluation.overlay import Overlay
+from assistax.evaluation.sight import Spots, viewpoint
 from assistax.files import write_atomically, writing
 from assistax.tasks import task_spec
 
 FILM_FORMATS = {".mp4": 25, ".webp": 10, ".gif": 10, ".png": 1}  # frames per second; .webp plays in web pages
+ELLIPSOID = mujoco.mjtGeom.mjGEOM_ELLIPSOID
+THICK = 0.003  # m, half of a disc
+
+Disc = tuple[np.ndarray, np.ndarray, tuple[float, float, float, float], float]
+"""Something flat on the skin: its place [3] m, what points out of the skin [3], colour, radius m."""
 
 
 class Camera:
@@ -23,10 +32,13 @@ class Camera:
         for name, pixels in {"width": width, "height": height}.items():
             if not 16 <= pixels <= 8192:
                 raise UsageError(f"The {name} of a picture must be from 16 to 8192 pixels, not {pixels}.")
-        self.model = scenes.build(task_spec(task).scene).compile()
+        scene = task_spec(task).scene
+        self.targets = scene.targets
+        self.model = scenes.build(scene).compile()
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
         self.data = mujoco.MjData(self.model)
-        self.view = view
+        self.view: str | mujoco.MjvCamera = view
+        self.width, self.height = width, height
         try:
             self._renderer = mujoco.Renderer(self.model, height, width)
         except Exception as error:  # every OpenGL backend fails with an error of its own
@@ -47,11 +59,41 @@ class Camera:
 
     def picture(self, qpos: np.ndarray, marker: np.ndarray) -> np.ndarray:
         """Pixels [height, width, 3] uint8 of the scene at qpos [nq], its target at marker [3]."""
+        self.pose(qpos, marker)
+        return self.render()
+
+    def pose(self, qpos: np.ndarray, marker: np.ndarray) -> None:
+        """Put the bodies and the target there."""
         self.data.qpos[:] = qpos
         self.data.mocap_pos[0] = marker
         mujoco.mj_forward(self.model, self.data)
+        self.at_mouth = bool(np.linalg.norm(marker - self.data.site("mouth").xpos) < 1e-3)
+        self.model.geom("target").rgba[3] = not self.at_mouth  # it would hide the lips
+
+    def render(self, discs: Iterable[Disc] = ()) -> np.ndarray:
+        """The picture of what was posed last, with discs on it."""
         self._renderer.update_scene(self.data, camera=self.view)
+        scene = self._renderer.scene
+        for place, normal, colour, radius in discs:
+            x = np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.7 else [0.0, 1.0, 0.0])
+            x /= np.linalg.norm(x)
+            turn = np.stack([x, np.cross(normal, x), normal], 1).ravel()
+            size = np.array([radius, radius, THICK])
+            mujoco.mjv_initGeom(scene.geoms[scene.ngeom], ELLIPSOID, size, place, turn, np.array(colour, np.float32))
+            scene.ngeom += 1
         return self._renderer.render()
+
+    @property
+    def eye(self) -> np.ndarray:
+        """Where [3] the last picture was taken from, m."""
+        return np.mean([camera.pos for camera in self._renderer.scene.camera], 0)
+
+    def pixel(self, point: np.ndarray) -> np.ndarray:
+        """Where [2] a point [3] of the room lies in the last picture, in pixels to the right and down."""
+        one = self._renderer.scene.camera[0]
+        way, right = point - self.eye, np.cross(one.forward, one.up)
+        scale = self.height / 2 * one.frustum_near / one.frustum_top / (way @ one.forward)
+        return np.array([self.width / 2 + scale * (way @ right), self.height / 2 - scale * (way @ one.up)])
 
 
 def check_format(path: Path) -> None:
@@ -60,19 +102,34 @@ def check_format(path: Path) -> None:
         raise UsageError(f"Can write {', '.join(FILM_FORMATS)}, not {path.name!r}.")
 
 
-def film(task: str, qpos: np.ndarray, markers: np.ndarray, dt: float, path: Path, **camera) -> None:
-    """Film qpos [T, nq] with targets [T, 3], dt s apart, as .mp4, .webp or .gif; for .png the last moment."""
+def film(filmed: Filmed, path: Path, plain: bool = False, view: str = "auto", **camera) -> None:
+    """Film an episode as .mp4, .webp or .gif; for .png its last moment.
+
+    Args:
+      plain: without caption, arrow of the force and spots on the skin; as if only bodies and target were known.
+      view: main or close, or auto: from where the help is seen best.
+    """
     import imageio.v3 as iio
 
     check_format(path)
     rate = FILM_FORMATS[path.suffix]
-    with Camera(task, **camera) as cam:
+    with Camera(filmed.task, view="close" if view == "auto" else view, **camera) as cam:
+        told = not plain and len(filmed.force) > 0
+        spots = Spots(cam, filmed) if told or view == "auto" else None
+        if view == "auto":
+            cam.view = viewpoint(cam, filmed, spots)
+        overlay = Overlay(cam, filmed, spots) if told else None
+
+        def picture(i):
+            return overlay.picture(i) if overlay else cam.picture(filmed.qpos[i], filmed.marker[i])
+
         if path.suffix == ".png":
-            write_atomically(path, iio.imwrite("<bytes>", cam.picture(qpos[-1], markers[-1]), extension=".png"))
+            write_atomically(path, iio.imwrite("<bytes>", picture(len(filmed.qpos) - 1), extension=".png"))
             return
         # The step that is nearest to when a frame is shown: a film is as fast as what it shows.
-        shown = np.arange(max(1, int(len(qpos) * dt * rate))) / (rate * dt)
-        frames = [cam.picture(qpos[i], markers[i]) for i in np.minimum(np.round(shown).astype(int), len(qpos) - 1)]
+        steps, dt = len(filmed.qpos), filmed.dt
+        shown = np.arange(max(1, int(steps * dt * rate))) / (rate * dt)
+        frames = [picture(i) for i in np.minimum(np.round(shown).astype(int), steps - 1)]
     if path.suffix in (".webp", ".gif"):
         style: dict[str, Any] = {"duration": 1000 / rate, "loop": 0}
         style |= {"quality": 60, "method": 4} if path.suffix == ".webp" else {}

@@ -8,6 +8,7 @@ import numpy as np
 
 from assistax.env import Env
 from assistax.evaluation.distribution import Distribution
+from assistax.evaluation.filmed import Filmed
 from assistax.evaluation.statistics import bootstrap_ci, proportion_ci
 from assistax.human import harm
 from assistax.physics import check_faults
@@ -16,7 +17,6 @@ from assistax.settings import check_count, check_seed
 
 EVALUATION_SEED = 20_260_000  # evaluation draws are the same for all runs, and not those of training
 MOST_AT_ONCE = 256  # episodes side by side; more are played in turns, so that memory does not grow with them
-_SERIES = ("playing", "qpos", "marker")
 
 
 class Evaluator:
@@ -40,26 +40,31 @@ class Evaluator:
         Returns:
           arrays by name, first axis the episode: "terms" (each reward term's sum over the episode),
           "metrics" (see Env.metrics, at the episode's last step), "person" the row of the list of people that the
-          reset drew; "force", a Distribution in N over all steps of all episodes. Of the first MOST_AT_ONCE episodes
-          at most, as a film needs them: "playing" [episodes, T] whether the episode was still on, "qpos" [.., T, nq],
-          "marker" [.., T, 3].
+          reset drew; "force", a Distribution in N over all steps of all episodes; "filmed", what a film needs of the
+          episode that is `typical` among the first MOST_AT_ONCE, a Filmed.
         """
         check_seed("seed", seed)
         for player in team.values():
             player.check()
         keys = jax.random.split(jax.random.key(seed), self.episodes)
-        force, parts, series = Distribution(), [], {}
+        force, parts = Distribution(), []
+        first: Any = None
         for start in range(0, self.episodes, self._at_once):
             ids = np.arange(start, start + self._at_once)
             fresh = ids < self.episodes  # the last turn is filled up with its last episode, for one compiled program
             out = jax.tree.map(np.asarray, self._play(team, keys[np.minimum(ids, self.episodes - 1)]))
             out = jax.tree.map(lambda x, fresh=fresh: x[fresh], out)
             check_faults(out.pop("fault"), self.env.engine.name)
-            force.add(out.pop("force")[out["playing"]])
-            kept = {name: out.pop(name) for name in _SERIES}
-            series = series or kept
+            turn = out.pop("playing"), out.pop("series")
+            force.add(out.pop("robot_force")[turn[0]])
+            first = first or turn  # all turns' would not fit into memory
             parts.append(out)
-        return jax.tree.map(lambda *xs: np.concatenate(xs), *parts) | {"force": force} | series
+        result = jax.tree.map(lambda *xs: np.concatenate(xs), *parts) | {"force": force}
+        playing, series = first
+        episode = typical(result["metrics"]["return"], len(playing))
+        series = jax.tree.map(lambda x: x[episode][playing[episode]], series)
+        spots = {body: np.asarray(places) for body, places in getattr(self.env.task, "spots", {}).items()}
+        return result | {"filmed": Filmed(self.env.name, self.env.dt, **series, spots=spots)}
 
     def _one(self, team: Team, key):
         env = self.env
@@ -81,8 +86,11 @@ class Evaluator:
                 actions[agent], carries[agent] = act(params[agent], carries[agent], seen, first, k)
             obs, state, _, terminated, truncated, info = env.step_env(key, state, actions)
             still_on = playing & ~(terminated["__all__"] | truncated["__all__"])
-            out = {k: info[k] for k in ("reward_terms", "metrics", "robot_force", "fault")}
-            out |= {"playing": playing, "qpos": state.physics.qpos, "marker": env.markers(state)}
+            out = {k: info[k] for k in ("reward_terms", "robot_force", "fault")}
+            force = env.sensors(state.physics)["robot_force"]
+            series = {"qpos": state.physics.qpos, "marker": env.markers(state), "force": force}
+            series |= {"metrics": info["metrics"], "spot_states": _spot_states(env.task, state.task)}
+            out |= {"playing": playing, "series": series}
             return (state, obs, carries, still_on, jnp.bool_(False)), out
 
         start = (state, obs, carries, jnp.bool_(True), jnp.bool_(True))
@@ -91,12 +99,15 @@ class Evaluator:
         last = on.sum() - 1
         return {
             "terms": jax.tree.map(lambda x: jnp.sum(x * on), out["reward_terms"]),
-            "metrics": jax.tree.map(lambda x: x[last], out["metrics"]),
+            "metrics": jax.tree.map(lambda x: x[last], out["series"]["metrics"]),
             "person": person,
             "fault": jnp.where(on, out["fault"], 0).max(),
-            "force": out["robot_force"],
-            **{name: out[name] for name in _SERIES},
+            **{name: out[name] for name in ("robot_force", "playing", "series")},
         }
+
+
+def _spot_states(task, state) -> jax.Array:
+    return task.spot_states(state) if hasattr(task, "spots") else jnp.zeros(0, jnp.int8)
 
 
 def play(env: Env, team: Team, episodes: int, seed: int = EVALUATION_SEED) -> dict[str, Any]:
@@ -145,11 +156,10 @@ def _mean(x: np.ndarray) -> dict[str, Any]:
     return {"mean": float(x.mean()), "ci": bootstrap_ci(x)}
 
 
-def typical(result: dict[str, Any]) -> int:
-    """The episode with the median return, or the nearest to it that can be filmed: what usually happens."""
-    returns = result["metrics"]["return"]
+def typical(returns: np.ndarray, first: int) -> int:
+    """The episode with the median return, or the nearest to it among the first ones: what usually happens."""
     median = np.sort(returns)[len(returns) // 2]
-    return int(np.argmin(np.abs(returns[: len(result["playing"])] - median)))
+    return int(np.argmin(np.abs(returns[:first] - median)))
 
 
 def evaluate(env: Env, team: Team, episodes: int = 64, seed: int = EVALUATION_SEED) -> dict[str, Any]:

@@ -31,8 +31,15 @@ def tool_force(s: Sensors, part: str) -> jax.Array:
     return s.get(f"tool_force_{part}", s["tool_force"])
 
 
+TO_DO, DONE, NOTHING_TO_DO = 0, 1, 2  # states of a spot
+
+
 class Task(Protocol):
-    """One assistive task: pure functions of the sensors and the task's own state."""
+    """One assistive task: pure functions of the sensors and the task's own state.
+
+    One that works on many spots of the skin may have two more things, for the renderer: `spots`, by body of the person
+    their places [n, 3] in m in the body's frame, and `spot_states(state)`, int8 for each of them all.
+    """
 
     title: ClassVar[str]
     config_type: ClassVar[type]

@@ -14,7 +14,7 @@ import numpy as np
 
 from assistax.pytree import pytree
 from assistax.scenes import BED_VIEW, RIGHT_ARM, SceneConfig, geometry, limited
-from assistax.tasks.base import Sensors, tool_force, tool_velocity
+from assistax.tasks.base import DONE, NOTHING_TO_DO, TO_DO, Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import norm, reach
 
@@ -70,6 +70,7 @@ class BedBath:
             for ns, (_, up, side) in zip(self.normals, skins, strict=True)
         ]
         self._angle = jnp.concatenate(angles)  # [52] rad, around the limb from its upper side
+        self.spots = dict(zip(bodies, self.points, strict=True))
         self.segment = np.repeat(np.arange(len(SEGMENTS)), [len(xs) for xs in self.points])  # [52], of each point
 
     def _rows(self, limb, up, side) -> tuple[np.ndarray, np.ndarray]:
@@ -167,6 +168,9 @@ class BedBath:
 
     def terminated(self, state: BedBathState):
         return state.visited.all()
+
+    def spot_states(self, state: BedBathState):
+        return jnp.where(state.dirty, jnp.where(state.visited, DONE, TO_DO), NOTHING_TO_DO).astype(jnp.int8)
 
     def markers(self, s: Sensors, state: BedBathState):
         return s["tool_pos"] + self._to_target(s, state)

@@ -12,7 +12,7 @@ import numpy as np
 
 from assistax.errors import UsageError
 from assistax.evaluation.film import film
-from assistax.evaluation.playing import Evaluator, by_episode, summarize, typical
+from assistax.evaluation.playing import Evaluator, by_episode, summarize
 from assistax.files import write_json
 from assistax.physics import check_faults
 from assistax.policies import Team
@@ -237,16 +237,8 @@ class _Training:
         write_json(run.folder / "summary.json", summary)
         title = f"{config.task}, {config.algorithm} ({config.preset} preset), {steps / 1e6:.1f} M steps"
         learning_curve(journal.read(run.folder, "metrics"), title, run.folder / "learning_curve.png")
-        result, episode = results[0], typical(results[0])
-        on = result["playing"][episode]
         try:
-            film(
-                config.task,
-                result["qpos"][episode][on],
-                result["marker"][episode][on],
-                run.env.dt,
-                run.folder / "rollout.mp4",
-            )
+            film(results[0]["filmed"], run.folder / "rollout.mp4")
         except UsageError as error:  # a machine that cannot render can still train
             print(f"No film: {error}", file=sys.stderr)
         return summary
