@@ -5,6 +5,7 @@ from pathlib import Path
 
 import jax
 import pytest
+from compiled import keep_programs_that_call_back
 
 import assistax
 
@@ -12,16 +13,17 @@ import assistax
 def pytest_configure(config):
     """Before JAX first compiles: most of the suite's time is compiling what then runs for milliseconds.
 
-    What was compiled is kept for the next time, by versions and flags, but for what calls back into Python, as the C
-    engine does; commands that are run as processes of their own share it.
+    What was compiled is kept for the next time, by versions and flags; commands that are run as processes of their own
+    share it.
     """
     caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(caches / "assistax-tests"))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
     jax.config.update(
         "jax_persistent_cache_min_compile_time_secs", float(os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"])
     )
+    keep_programs_that_call_back()
     if config.option.markexpr == "not slow":
         os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
 
