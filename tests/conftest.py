@@ -1,5 +1,6 @@
 """Shared by all tests."""
 
+import gc
 import os
 from pathlib import Path
 
@@ -8,6 +9,13 @@ import pytest
 from compiled import keep_programs_that_call_back
 
 import assistax
+
+# Programs that are compiled in a third of the time, and take longer to run than those that users have; -m slow has these.
+QUICK_TO_COMPILE = (
+    "--xla_backend_optimization_level=0",
+    "--xla_cpu_use_fusion_emitters=false",
+    "--xla_cpu_parallel_codegen_split_count=1",
+)
 
 
 def pytest_configure(config):
@@ -24,8 +32,13 @@ def pytest_configure(config):
         "jax_persistent_cache_min_compile_time_secs", float(os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"])
     )
     keep_programs_that_call_back()
+    # What is left of the time is tracing and lowering: without looking up source lines, and at garbage less often.
+    os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
+    jax.config.update("jax_traceback_in_locations_limit", int(os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"]))
+    gc.set_threshold(100_000, 20, 50)
     if config.option.markexpr == "not slow":
-        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
+        given = os.environ.get("XLA_FLAGS", "").split()  # by whoever started this worker, for example
+        os.environ["XLA_FLAGS"] = " ".join(given + [flag for flag in QUICK_TO_COMPILE if flag not in given])
 
 
 @pytest.hookimpl(tryfirst=True)
