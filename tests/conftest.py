@@ -10,7 +10,7 @@ from compiled import keep_programs_that_call_back
 
 import assistax
 
-# Programs that are compiled in a third of the time, and take longer to run than those that users have; -m slow has these.
+# Compiling takes a third of the time, and running longer than in the programs that users have, and -m slow.
 QUICK_TO_COMPILE = (
     "--xla_backend_optimization_level=0",
     "--xla_cpu_use_fusion_emitters=false",
