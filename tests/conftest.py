@@ -1,29 +1,44 @@
 """Shared by all tests."""
 
+import gc
 import os
 from pathlib import Path
 
 import jax
 import pytest
+from compiled import keep_programs_that_call_back
 
 import assistax
+
+# Compiling takes a third of the time, and running longer than in the programs that users have, and -m slow.
+QUICK_TO_COMPILE = (
+    "--xla_backend_optimization_level=0",
+    "--xla_cpu_use_fusion_emitters=false",
+    "--xla_cpu_parallel_codegen_split_count=1",
+)
 
 
 def pytest_configure(config):
     """Before JAX first compiles: most of the suite's time is compiling what then runs for milliseconds.
 
-    What was compiled is kept for the next time, by versions and flags, but for what calls back into Python, as the C
-    engine does; commands that are run as processes of their own share it.
+    What was compiled is kept for the next time, by versions and flags; commands that are run as processes of their own
+    share it.
     """
     caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(caches / "assistax-tests"))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.1")
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
     jax.config.update("jax_compilation_cache_dir", os.environ["JAX_COMPILATION_CACHE_DIR"])
     jax.config.update(
         "jax_persistent_cache_min_compile_time_secs", float(os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"])
     )
+    keep_programs_that_call_back()
+    # What is left of the time is tracing and lowering: without looking up source lines, and at garbage less often.
+    os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")
+    jax.config.update("jax_traceback_in_locations_limit", int(os.environ["JAX_TRACEBACK_IN_LOCATIONS_LIMIT"]))
+    gc.set_threshold(100_000, 20, 50)
     if config.option.markexpr == "not slow":
-        os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_backend_optimization_level=0"
+        given = os.environ.get("XLA_FLAGS", "").split()  # by whoever started this worker, for example
+        os.environ["XLA_FLAGS"] = " ".join(given + [flag for flag in QUICK_TO_COMPILE if flag not in given])
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -84,8 +84,8 @@ def train(
         config = configure(task, parse_assignments(set), **choices)
         name = f"{task}-{config.algorithm}{'-rnn' * recurrent}{'-shared' * share_parameters}-{config.seed}"
         run = Run.create(config, out or free_folder(name))
-    print(f"{run.config.task} on the {run.env.engine.name} engine, into {run.folder}", file=sys.stderr)
     try:
+        print(f"{run.config.task} on the {run.env.engine.name} engine, into {run.folder}", file=sys.stderr)
         with writing(run.folder):
             summary = training(run)
     except KeyboardInterrupt:
