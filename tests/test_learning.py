@@ -543,3 +543,16 @@ def test_every_preset_is_a_valid_configuration():
                 algorithm = row.removesuffix("_rnn")
                 settings = preset(name, algorithm, task, recurrent=row.endswith("_rnn"))
                 (SACConfig if algorithm.endswith("sac") else PPOConfig)(**settings)
+
+
+def test_exploration_comes_down_to_what_is_asked_for(scratch):
+    """By hand: after iteration i of n at most initial + i / (0.75 n) of the way; what is quieter already stays so."""
+    config = PPOConfig(num_steps=4, num_minibatches=1, initial_log_std=-1.0, final_log_std=-3.0)
+    ppo = PPO(scratch, config, 2, 8)
+    params = jax.jit(ppo.init)(jax.random.key(0)).params
+    params["robot"]["actor"]["log_std"] = params["robot"]["actor"]["log_std"].at[0].set(-9.0)
+    for done, most in ((0, -1.0 - 2.0 / 6), (2, -2.0), (5, -3.0), (7, -3.0)):
+        quiet = ppo._quieter(config, params, jnp.int32(done))
+        np.testing.assert_allclose(quiet["human"]["actor"]["log_std"], most, rtol=1e-6)
+        np.testing.assert_allclose(quiet["robot"]["actor"]["log_std"], [-9.0] + [most] * 6, rtol=1e-6)
+        assert quiet["robot"]["critic"] is params["robot"]["critic"]
