@@ -17,6 +17,8 @@ LOADING = """
 import os, signal, sys
 from assistax.__main__ import main
 
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 def watch(event, args):
     if event == "import" and args[0] == module:
         os.kill(os.getpid(), signal.SIGINT)
@@ -35,6 +37,14 @@ def test_while_it_loads(module, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.fixture
+def ctrl_c():
+    """As in a terminal, also where tests run in the background and their processes are to ignore it."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 def interrupt(*_, **__):
     os.kill(os.getpid(), signal.SIGINT)
     raise AssertionError("goes on")
@@ -48,7 +58,7 @@ def interrupt(*_, **__):
         (assistax.training.loop, "_Training"),
     ],
 )
-def test_before_anything_is_trained(place, name, tmp_path, monkeypatch, capsys):
+def test_before_anything_is_trained(place, name, ctrl_c, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(place, name, interrupt)
     settings = [f"{name}={value}" for name, value in SMALL.items()]
     monkeypatch.setattr(
