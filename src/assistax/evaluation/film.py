@@ -1,5 +1,6 @@
 """Pictures and films of a scene."""
 
+import atexit
 import warnings
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -35,6 +36,8 @@ class Camera:
                 "(Debian: apt-get install libegl1 libgl1-mesa-dri) or set MUJOCO_GL=osmesa."
             ) from None
 
+        atexit.register(self._renderer.close)  # later, OpenGL is gone, and says so
+
     def __enter__(self):
         return self
 
@@ -42,8 +45,9 @@ class Camera:
         self.close()
 
     def close(self) -> None:
-        """Give the graphics memory back; without it that ends in an error of OpenGL when Python stops."""
+        """Give the graphics memory back."""
         self._renderer.close()
+        atexit.unregister(self._renderer.close)
 
     def picture(self, qpos: np.ndarray, marker: np.ndarray) -> np.ndarray:
         """Pixels [height, width, 3] uint8 of the scene at qpos [nq], its target at marker [3]."""
