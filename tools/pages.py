@@ -19,7 +19,7 @@ from assistax.evaluation import evaluate
 from assistax.files import read_json, write_atomically
 from assistax.human import DISABILITIES
 from assistax.policies import scripted_team
-from assistax.results.comparison import markdown, read_references, report, tables
+from assistax.results.comparison import REFERENCES, markdown, read_references, report, tables
 from assistax.results.figures import learning_curves, save
 from assistax.results.stored import experiments, find_runs
 from assistax.stamp import commit
@@ -77,40 +77,34 @@ The person is still.
 
 {nobody_v0}
 
-Success with a person who has a disability, and in brackets the mean force in contact in N:
-
-{disabled_v0}
-
 With preferences:
 
 {considerate_v0}
 """
 
 
-def measure() -> list[dict[str, Any]]:
-    """What scripted policies reach with whom: the records of results/experts.json."""
-    records = []
+def measure(path: Path = REFERENCES) -> str:
+    """What scripted policies reach with whom: adds to the records in results/experts.json those that it lacks.
 
-    def add(task, policy, report, **human):
-        person = {"disability": "none", "preference": "none", "people": "none"} | human
-        records.append({"task": task, "policy": policy, "human": person, **report, "commit": commit()})
-
-    for task in (f"{name}-v{version}" for version in (1, 0) for name in BOUNDS):
-        helped = ("offer", "offer_slowly", "withdraw") if task.endswith("v1") else ()
-        for policy in ("still", "random", "expert", *helped):
-            add(task, policy, _play(task, policy))
-        for policy in ("still", "random", "expert", "considerate", *helped[:1]):
-            add(task, policy, _play(task, policy, human={"preference": "sweep"}), preference="sweep")
-        for disability in DISABILITIES:
-            for policy in ("offer",) if helped else ("expert",):
-                add(task, policy, _play(task, policy, human={"disability": disability}), disability=disability)
-    return records
-
-
-def _play(task: str, policy: str, **settings) -> dict[str, Any]:
-    env = make(task, **settings)
-    print(task, policy, settings, flush=True)
-    return evaluate(env, scripted_team(policy, env), EPISODES)
+    Remove the file, or some of its records, to measure anew.
+    """
+    records = read_references(path)
+    known = {json.dumps([r["task"], r["policy"], r["human"]]) for r in records}
+    for task in (f"{name}-v1" for name in BOUNDS):
+        plain = ("still", "random", "expert", "offer", "offer_slowly", "withdraw")
+        wanted = [(policy, {}) for policy in plain]
+        wanted += [(policy, {"preference": "sweep"}) for policy in ("expert", "considerate", "offer")]
+        wanted += [("offer", {"disability": disability}) for disability in DISABILITIES]
+        for policy, human in wanted:
+            person = {"disability": "none", "preference": "none", "people": "none"} | human
+            if json.dumps([task, policy, person]) in known:
+                continue
+            env = make(task, human=human)
+            report = evaluate(env, scripted_team(policy, env), EPISODES)
+            records.append({"task": task, "policy": policy, "human": person, **report, "commit": commit()})
+            write_atomically(path, (json.dumps(records, indent=1) + "\n").encode())
+            print(task, policy, human, f"success {report['success_rate']:.0%}", flush=True)
+    return json.dumps(records, indent=1) + "\n"
 
 
 def experts(records: list[dict[str, Any]]) -> str:
@@ -125,10 +119,10 @@ def experts(records: list[dict[str, Any]]) -> str:
         both = f" [{low:.0%}, {high:.0%}]"
         return f"{report['success_rate']:.0%}{both}" + (f"; {report['safe_success_rate']:.0%}" if safe else "")
 
-    def disabled(policy, version):
+    def disabled():
         rows = []
         for task in BOUNDS:
-            reports = [find(f"{task}-v{version}", policy, disability=name) for name in DISABILITIES]
+            reports = [find(f"{task}-v1", "offer", disability=name) for name in DISABILITIES]
             told = (f"{r['success_rate']:.0%} ({r['force']['mean_in_contact']:.1f})" for r in reports)
             rows.append([task, *told])
         return markdown(["task", *DISABILITIES], rows)
@@ -175,11 +169,10 @@ def experts(records: list[dict[str, Any]]) -> str:
         pairs=markdown(["task", "still", "offers", "offers slowly", "draws back"], pairs),
         offered=markdown(["task", "return", "of the bound", *force, *harm], offered),
         nobody=nobody(1),
-        disabled=disabled("offer", 1),
+        disabled=disabled(),
         considerate=considerate(1, ("expert", "considerate", "offer")),
         experts_v0=markdown(["task", "success", "return", "of the paper's bound", *force], plain),
         nobody_v0=nobody(0),
-        disabled_v0=disabled("expert", 0),
         considerate_v0=considerate(0, ("expert", "considerate")),
     )
 
@@ -285,7 +278,7 @@ def results(folder: Path, pictures: Path) -> str:
 
 # By name where each goes and what makes it.
 PAGES = {
-    "measure": (Path("results/experts.json"), lambda: json.dumps(measure(), indent=1) + "\n"),
+    "measure": (REFERENCES, measure),
     "experts": (Path("docs/experts.md"), lambda: experts(read_references())),
     "speed": (Path("docs/speed.md"), lambda: speed(Path("results/bench"))),
     "results": (Path("docs/results.md"), lambda: results(Path("results"), Path("docs/images"))),
