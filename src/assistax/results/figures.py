@@ -295,4 +295,5 @@ _OUTCOMES = (  # of an episode: axis, name, words and line
     (0, "task_return", ", task", "--"),
     (0, "preference_return", ", preference", ":"),
     (2, "success", "", "-"),
+    (2, "safe_success", ", safe", "--"),
 )
