@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from commands import assistax as assistax_command
 
 import assistax
 from assistax.errors import UsageError
@@ -15,6 +16,9 @@ from assistax.learning.partners import Partners
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.policies import Player, scripted_policy
 from assistax.teamwork.population import Population, check_split, load_split, save_split, split
+from assistax.training import loop
+from assistax.training.configuration import configure
+from assistax.training.run import Run
 
 WORDS = ("none", "tremor", "weakness", "limited_range", "tremor=0.2", "strength=0.5")
 CONFIG = PPOConfig(num_steps=4, num_minibatches=1, hidden=(8, 8), initial_log_std=-1.0)
@@ -178,3 +182,24 @@ def _twice(population):
     row = dict(population[0])
     partner = {agent: population.select([row["id"]]).partner(agent) for agent in ("robot", "human")}
     return [(row, partner), (row, partner)]
+
+
+def test_the_command_gathers_finished_runs(tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "film", lambda *_, **__: None)
+    settings = {"ppo.num_steps": 8, "ppo.num_minibatches": 2, "ppo.update_epochs": 1, "ppo.hidden": (8, 8)}
+    settings |= {"env.episode_length": 16, "evaluations": 1, "evaluation_episodes": 3}
+    config = configure("scratch", settings | {"env.human.disability": "tremor"}, num_envs=8, steps=64, num_seeds=2)
+    run = Run.create(config, tmp_path / "run")
+    with pytest.raises(UsageError, match="is not finished"):
+        Population.of_runs([run])
+    assert loop.train(run)
+    pop = tmp_path / "pop"
+    assert "2 members of scratch-v1" in assistax_command("population", "make", pop, tmp_path / "run").stdout
+    listed = assistax_command("population", "list", pop).stdout
+    assert listed.count("tremor") == 2 and "seed 1" in listed and "safely" in listed
+    assert "2 members of scratch-v1, all as they were saved" in assistax_command("population", "verify", pop).stdout
+    own, stored = run.teams()[1]["human"], Population.load(pop).partner("human", deterministic=True)
+    obs = jax.random.normal(jax.random.key(9), (run.env.observation_sizes["human"],))
+    args = own.policy.initial_carry(), obs, jnp.bool_(True), jax.random.key(0)
+    one, other = own.policy.act(own.member(0), *args)[0], stored.policy.act(stored.member(1), *args)[0]
+    np.testing.assert_allclose(one, other, atol=2e-3)
