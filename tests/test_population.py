@@ -184,11 +184,22 @@ def _twice(population):
     return [(row, partner), (row, partner)]
 
 
+SMALL = {"ppo.num_steps": 8, "ppo.num_minibatches": 2, "ppo.update_epochs": 1, "ppo.hidden": (8, 8)}
+SMALL |= {"env.episode_length": 16, "evaluations": 1, "evaluation_episodes": 3}
+
+
+def test_a_robot_trains_with_a_population(teams, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "film", lambda *_, **__: None)
+    population = Population._of_teams([(row | {"task": "scratch-v0"}, team) for row, team in teams])
+    config = configure("scratch-v0", SMALL | {"env.human.people": population.people}, num_envs=8, steps=128)
+    run = Run.create(config, tmp_path / "run", players={"human": population.partner("human")})
+    assert loop.train(run)["steps"] == 128
+    assert run.trainer.learners == ("robot",)
+
+
 def test_the_command_gathers_finished_runs(tmp_path, monkeypatch):
     monkeypatch.setattr(loop, "film", lambda *_, **__: None)
-    settings = {"ppo.num_steps": 8, "ppo.num_minibatches": 2, "ppo.update_epochs": 1, "ppo.hidden": (8, 8)}
-    settings |= {"env.episode_length": 16, "evaluations": 1, "evaluation_episodes": 3}
-    config = configure("scratch", settings | {"env.human.disability": "tremor"}, num_envs=8, steps=64, num_seeds=2)
+    config = configure("scratch", SMALL | {"env.human.disability": "tremor"}, num_envs=8, steps=64, num_seeds=2)
     run = Run.create(config, tmp_path / "run")
     with pytest.raises(UsageError, match="is not finished"):
         Population.of_runs([run])

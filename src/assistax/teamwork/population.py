@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from assistax.errors import UsageError
@@ -176,7 +177,7 @@ class Population:
         if agent not in self.weights[name]:
             raise UsageError(f"This population has nobody for the {agent}.")
         order = np.array([row["row"] for row in self.rows])
-        params = jax.tree.map(lambda x: np.asarray(x[order], np.float32), self.weights[name][agent])
+        params = jax.tree.map(lambda x: jnp.asarray(x[order], jnp.float32), self.weights[name][agent])
         params |= {"normalizer": RunningStats(**params["normalizer"])}
         return Player(dataclasses.replace(policy, deterministic=deterministic), params, len(self), by_person=True)
 
