@@ -54,10 +54,11 @@ def train(run: Run, seconds: float = math.inf, log: Sequence[str] = ()) -> dict[
 class _Training:
     """One process's work on a run."""
 
-    def __init__(self, run: Run, stop: Stop, log: Sequence[str]):
+    def __init__(self, run: Run, stop: Stop, log: Sequence[str] = ()):
         self.run, self.stop, self.log = run, stop, log
         self.trainer, self.seeds, self.engine = run.trainer, run.seeds, run.env.engine
         self.evaluator = Evaluator(run.env, run.config.evaluation_episodes)
+        self.told = Told((), run.folder, self.seeds.seeds, 0, {})  # nobody yet
 
     def go(self) -> dict[str, Any] | None:
         with self.stop:
