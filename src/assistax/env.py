@@ -216,7 +216,7 @@ class Env:
             tool_force=norm(s["tool_force"]),
             t=state.t + 1,
             harm=harmed,
-            episode=self._books.add(state.episode, s, force, sum(terms.values()), sum(preferred.values())),
+            episode=self._books.add(state.episode, s, force, sum(terms.values()), sum(preferred.values()), cost),
         )
         terms |= preferred
         reward = sum(terms.values())
@@ -264,7 +264,7 @@ class Env:
     def metrics(self, state: EnvState) -> dict[str, jax.Array]:
         """Outcome of the episode so far; after its last step, of the whole episode.
 
-        `success` (0 or 1), the task's own outcomes, `peak_force` (N) and `seconds_over_force_limit`
+        `success` (0 or 1), the task's own outcomes, `cost`, `peak_force` (N) and `seconds_over_force_limit`
         of the robot on the person, `work_robot` and `work_human` (J), `return` and `length` (steps);
         with preferences also `task_return` and `preference_return`, which add up to it. In version 1 also
         `safe_success`, success without clamping or impact beyond the limits, and `human.harm.outcomes`.
