@@ -169,6 +169,7 @@ def test_a_signal_ends_an_evaluation_and_the_resumed_run_makes_up_for_it(tmp_pat
         with Stop() as stop, journal.Journal(run.folder, "evaluations") as rows:
             training = loop._Training(run, stop, ())
             training.evaluations, training.clock = rows, Clock({})
+            training.told = SimpleNamespace(rows=lambda _: None)
             training.evaluator = lambda team: (played.append(team), team == signalled_at and signal_this(), result)[2]
             training._evaluate_due(done, [0, 1, 2])
             assert training._missing(done)["evaluations"] == 0  # those before
