@@ -25,7 +25,6 @@ def pytest_configure(config):
     caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "assistax-tests"
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(caches))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-    os.environ.setdefault("JAX_TRACEBACK_IN_LOCATIONS_LIMIT", "0")  # source lines for nobody
     if sys.dont_write_bytecode:  # then each of a dozen processes would compile the packages' sources: here they may
         sys.dont_write_bytecode = False
         os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
