@@ -5,6 +5,8 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 
+from assistax.learning.ppo import PPO, PPOConfig
+
 
 class Game:
     """Auto-reset, time limit and episode return; a game says what `begin`, `play`, `see` and `global_obs` are."""
@@ -17,6 +19,10 @@ class Game:
         """What else a step's info has."""
         return {}
 
+    def over(self, state):
+        """Whether this state ends the episode for good, beside chance."""
+        return jnp.bool_(False)
+
     def reset(self, key, elapsed=0):
         state = self.begin(key) | {"t": jnp.int32(0) + elapsed, "return": jnp.float32(0.0)}
         return self.see(state), state
@@ -25,7 +31,7 @@ class Game:
         end_key, play_key, reset_key = jax.random.split(key, 3)
         reward, moved = self.play(play_key, state, actions)
         end = state | moved | {"t": state["t"] + 1, "return": state["return"] + reward}
-        terminated = jax.random.uniform(end_key) < self.ending
+        terminated = (jax.random.uniform(end_key) < self.ending) | self.over(end)
         truncated = (end["t"] >= self.episode_length) & ~terminated
         _, fresh = self.reset(reset_key)
         info = self.extra(actions) | {
@@ -115,6 +121,69 @@ class Cue(Game):
         return 1.0 - jnp.square(actions["robot"][0] - state["c"]), {}
 
 
+class Recall(Game):
+    """A cue c in {-1, 1} is shown at the first step; after 6 to 10 steps of other such signs it is asked for, once.
+
+    Reward 1 - (action - c)² where it is asked, worth 1, else 0; then the episode is over. Without memory the best is to
+    play 0, worth 0. Nothing but the cue of this very episode helps: signs look like cues, the delay is random, and what
+    an episode before has left is misleading.
+    """
+
+    agents, episode_length = ("robot",), 11
+    observation_sizes, action_sizes, global_size = {"robot": 3}, {"robot": 1}, 3
+
+    def begin(self, key):
+        cue_key, delay_key, signs_key = jax.random.split(key, 3)
+        signs = jnp.where(jax.random.bernoulli(signs_key, shape=(11,)), 1.0, -1.0)
+        cue = jnp.where(jax.random.bernoulli(cue_key), 1.0, -1.0)
+        return {"c": cue, "delay": jax.random.randint(delay_key, (), 6, 11), "signs": signs.at[0].set(cue)}
+
+    def see(self, state):
+        return {"robot": self.global_obs(state)}
+
+    def global_obs(self, state):
+        first, asked = state["t"] == 0, state["t"] == state["delay"]
+        return jnp.stack([state["signs"][state["t"]], first, asked])
+
+    def play(self, key, state, actions):
+        asked = state["t"] == state["delay"]
+        return jnp.where(asked, 1.0 - jnp.square(actions["robot"][0] - state["c"]), 0.0), {}
+
+    def over(self, state):
+        return state["t"] > state["delay"]
+
+
+class Levers(Game):
+    """At the first step each pulls a lever that it cannot see, and at the fourth 1 - the squared errors is paid.
+
+    The robot's should be at 0.5, the human's at -0.5. Only the global state shows the levers, and what follows is no
+    matter of the actions. So an agent's own observations after the first step are the same whatever it did: with
+    advantages of one step (gae_lambda = 0) those of an own-observation critic know nothing of the action, and there is
+    nothing to learn from, however long. To a central critic the levers are worth what will be paid.
+    """
+
+    episode_length = 4
+    observation_sizes, action_sizes, global_size = {"robot": 4, "human": 4}, {"robot": 1, "human": 1}, 6
+
+    def begin(self, key):
+        return {"levers": jnp.zeros(2)}
+
+    def see(self, state):
+        return dict.fromkeys(self.agents, jax.nn.one_hot(state["t"], 4))
+
+    def global_obs(self, state):
+        return jnp.concatenate([jax.nn.one_hot(state["t"], 4), state["levers"]])
+
+    def play(self, key, state, actions):
+        pulled = jnp.stack([actions["robot"][0], actions["human"][0]])
+        levers = jnp.where(state["t"] == 0, pulled, state["levers"])
+        reward = 1.0 - jnp.sum(jnp.square(levers - jnp.array([0.5, -0.5])))
+        return jnp.where(state["t"] == 3, reward, 0.0), {"levers": levers}
+
+    def over(self, state):
+        return state["t"] > 3
+
+
 class Integrator(Game):
     """A point x, to be brought to 0: x moves by 0.3 u, each step costs x² + 0.1 u², x begins in [-2, 2].
 
@@ -167,3 +236,14 @@ class Fines(Game):
     def extra(self, actions):
         robot, human = (jnp.maximum(actions[agent][0], 0.0) for agent in self.agents)
         return {"cost": self.unit * (robot + 2.0 * human)}
+
+
+def trained(game, iterations, num_envs=64, **settings):
+    """(trainer, state, stats, the last batch) after some iterations of PPO."""
+    ppo = PPO(game, PPOConfig(**settings), num_envs, iterations)
+    collect, improve = jax.jit(ppo.collect), jax.jit(ppo.improve)
+    state, stats, batch = jax.jit(ppo.init)(jax.random.key(0)), {}, {}
+    for _ in range(iterations):
+        state, batch = collect(state)
+        state, stats = improve(state, batch)
+    return ppo, state, stats, batch

@@ -249,13 +249,6 @@ def test_actions_are_torques_as_documented():
     np.testing.assert_allclose(ctrl, [-1, 0, 0.5, *0.3 * np.array([87, 87, 87, 87, 12, 12, 12])], rtol=1e-6)
 
 
-def test_position_control_holds_the_middle_of_the_range():
-    env = assistax.make("scratch-v0", engine="mujoco", control="position")
-    ctrl = env._ctrl({"robot": jnp.zeros(7), "human": jnp.zeros(3)})
-    low, high = env.model.jnt_range[[env.model.joint(j).id for j in scenes.PANDA.joints]].T
-    np.testing.assert_allclose(ctrl[3:], (low + high) / 2, atol=1e-5)
-
-
 def test_every_itch_lies_on_the_skin_and_is_reachable(scratch):
     model = scratch.model
     data = mujoco.MjData(model)

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from commands import assistax
 
+import assistax.experiments as all_experiments
 from assistax.cli.reproduce import duration
 from assistax.errors import UsageError
 from assistax.experiments import advance, choose_experiments, experiments, status
@@ -44,6 +46,21 @@ def test_pieces_add_up_and_nothing_is_done_twice(tmp_path):
     assert (results / "quick" / "one.json").read_text() == "1"
     assert sorted(p.name for p in results.iterdir()) == ["later", "long", "quick"]
     assert advance(chosen, results, work, 60) == [] and [f for _, f in status(chosen, results, work)] == [1.0] * 3
+
+
+class Refusing(Counting):
+    def advance(self, work: Path, seconds: float):
+        raise UsageError(f"{self.name} cannot be.")
+
+
+def test_what_refuses_leaves_the_rest_of_the_list_to_be_done(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    chosen = [Counting("one", 1), Refusing("damaged", 1), Counting("other", 1)]
+    monkeypatch.setattr(all_experiments, "experiments", lambda seeds: chosen)
+    printed = assistax("reproduce", "--budget", "9m").stdout
+    assert printed.splitlines()[-1] == "finished 2, 1 left"
+    assert capsys.readouterr().err == "damaged: damaged cannot be.\n"
+    assert sorted(path.name for path in (tmp_path / "results").iterdir()) == ["one", "other"]
 
 
 def test_names_are_unique_and_chosen_by_pattern():

@@ -214,7 +214,7 @@ def refused(monkeypatch, capsys):
     return call
 
 
-def no_space(*_):
+def no_space(*_, **__):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 

@@ -11,7 +11,7 @@ import assistax
 ROOT = Path(assistax.__file__).parent
 # From the ground up: a folder, or a file of the package itself. Nobody imports from further right than it stands.
 FLOORS = (
-    ("errors",),
+    ("errors", "inference"),
     ("pytree", "files", "stamp", "registry", "settings", "spaces"),
     ("formats",),
     ("scenes",),

@@ -5,6 +5,7 @@ import os
 import shutil
 import signal
 import time
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -115,7 +116,7 @@ def test_a_replay_is_written_once_and_not_with_every_checkpoint(tmp_path):
         )
 
     states = [random_state(seed) for seed in run.config.seeds]
-    training = loop._Training(run, Stop())
+    training = loop._Training(run, Stop(), ())
     training.clock = Clock({})
     with journal.Journal(run.folder, "metrics") as metrics, journal.Journal(run.folder, "evaluations") as evaluations:
         training.metrics, training.evaluations = metrics, evaluations
@@ -128,7 +129,7 @@ def test_a_replay_is_written_once_and_not_with_every_checkpoint(tmp_path):
     written = sum(path.stat().st_size for path in run.folder.glob("checkpoints/pieces/*"))
     replay = sum(x.nbytes for state in states for x in jax.tree.leaves(state.replay))
     assert rows == 2 and checkpoints[-1].stat().st_size < replay / 5 and 0.8 * replay < written < replay
-    found, done, _ = loop._Training(run, Stop())._start()
+    found, done, _ = loop._Training(run, Stop(), ())._start()
     assert done == 3
     for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(states), strict=True):
         if is_key(a):
@@ -167,8 +168,9 @@ def test_a_signal_ends_an_evaluation_and_the_resumed_run_makes_up_for_it(tmp_pat
         """The seeds that are played; the state of a seed is its number here."""
         played = []
         with Stop() as stop, journal.Journal(run.folder, "evaluations") as rows:
-            training = loop._Training(run, stop)
+            training = loop._Training(run, stop, ())
             training.evaluations, training.clock = rows, Clock({})
+            training.told = SimpleNamespace(rows=lambda _: None)
             training.evaluator = lambda team: (played.append(team), team == signalled_at and signal_this(), result)[2]
             training._evaluate_due(done, [0, 1, 2])
             assert training._missing(done)["evaluations"] == 0  # those before

@@ -8,7 +8,6 @@ import mujoco
 import numpy as np
 import pytest
 from kinematics import touching_pose
-from mujoco import mjx
 
 from assistax import scenes
 from assistax.errors import SimulationError
@@ -99,6 +98,8 @@ def test_warp_agrees_with_c_in_contact(model, engine, pressing, steps):
 
 def test_mjx_reads_the_forces_that_mujoco_has(model, pressing):
     """From the same contacts: compiling all of MJX takes minutes, so that its steps are compared in slow tests."""
+    from mujoco import mjx  # takes seconds, which no other file needs
+
     engine, data = make_engine("mjx", model), mujoco.MjData(model)
     for qpos in np.asarray(pressing[0]):
         data.qpos = qpos

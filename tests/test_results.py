@@ -2,6 +2,7 @@
 
 import copy
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -268,6 +269,21 @@ def test_the_table_is_what_can_be_worked_out_by_hand(tmp_path, monkeypatch, caps
     assert "100%" in capsys.readouterr().out
 
 
+def test_a_run_that_another_commit_finished_counts_as_of_both(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    runs = [write_run(tmp_path / f"runs/{i}", [1, 2], seed=i) for i in range(2)]
+    summary = json.loads((runs[1] / "summary.json").read_text())
+    summary |= {"commit": "def", "versions": summary["versions"] | {"jax": "0.11.0"}}
+    (runs[1] / "summary.json").write_text(json.dumps(summary))
+    cli.table(json=True)
+    (row,) = json.loads(capsys.readouterr().out)["experiments"]
+    assert row["commit"] == ["abc", "abc, then def"] and row["hardware"] == ["2 cores"] * 2
+    cli.table()
+    remarks = capsys.readouterr().out
+    assert "The runs differ in commit: abc (1 run), abc, then def (1 run)." in remarks
+    assert "The runs differ in jax: 0.10.2 (1 run), 0.10.2, then 0.11.0 (1 run)." in remarks
+
+
 def test_intervals_stay_where_the_quantity_can_be(tmp_path):
     """Two seeds with 3 and 4 N: 3.5 N, give or take 12.7 standard errors of 0.5 N, but not below zero."""
     row = comparison.describe(pooled(write_run(tmp_path / "a", [[1000.0], [1100.0]]))[0], RECORDS)
@@ -385,8 +401,24 @@ def test_the_curve_of_one_run(tmp_path):
     assert (tmp_path / "curve.png").stat().st_size > 5000
 
 
-def test_from_the_command_line(tmp_path):
-    command = [sys.executable, "-m", "assistax", "plot", "nowhere"]
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, check=False)
+WITHOUT_JAX = """
+from pathlib import Path
+import assistax.results.comparison, assistax.results.figures
+from assistax import cli
+
+cli.table((Path("a"),))
+cli.plot((Path("a"),))
+cli.main()
+"""
+
+
+def test_tables_and_figures_need_no_device_and_an_error_is_one_line(tmp_path):
+    """In a process for which JAX has no device, so that starting its backend, which may take a GPU's memory, fails."""
+    write_run(tmp_path / "a", [1, 2])
+    command = [sys.executable, "-c", WITHOUT_JAX, "plot", "nowhere"]
+    done = subprocess.run(
+        command, capture_output=True, text=True, cwd=tmp_path, check=False, env=os.environ | {"JAX_PLATFORMS": "none"}
+    )
     assert done.returncode == 2 and done.stderr.startswith("assistax: nowhere is not a run folder")
     assert len(done.stderr.splitlines()) == 1
+    assert "scratch-v0" in done.stdout and list(tmp_path.glob("*.png"))

@@ -530,3 +530,18 @@ def test_full_action_for_a_second_keeps_joints_within_their_speeds(name):
 def test_an_engine_that_gets_the_brakes_wrong_is_refused():
     with pytest.raises(UsageError, match="mjx engine cannot keep scratch-v1 to its joint speeds"):
         assistax.make("scratch", engine="mjx")
+
+
+def test_an_episodes_cost_is_the_sum_of_its_steps_costs():
+    env = env_of("scratch")
+    base = np.float32(touching_pose(env.model, depth=0.02))
+    key = jax.random.key(0)
+    _, state = env.reset(key)
+    physics = env.engine.init(jnp.asarray(base), jnp.zeros(env.model.nv))
+    state, step, total = dataclasses.replace(state, physics=physics), jax.jit(env.step_env), 0.0
+    for _ in range(5):
+        actions = {"robot": jnp.zeros(7), "human": jnp.zeros(3)}
+        _, state, _, _, _, info = step(key, state, actions)
+        total += float(info["cost"])
+        assert float(info["metrics"]["cost"]) == pytest.approx(total, rel=1e-5)
+    assert total > 0

@@ -29,7 +29,7 @@ STRENGTH = 0.9  # of the person's torque, to hold a posture
 AROUND_PAD = 0.045  # m, from the pad's centre, what it washes
 LEAN = {"scratch": 1.0, "bed_bath": 0.0}  # how far the tool leans away from the robot, as the scripted robot holds it
 TIP = {"scratch": 0.008, "bed_bath": 0.004}  # m, from tool point to skin when touching
-MORE = {"scratch": 3, "bed_bath": 4}  # postures beside rest
+MORE = {"scratch": 3, "bed_bath": 2}  # postures beside rest
 
 
 class Reach:

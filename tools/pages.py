@@ -19,24 +19,36 @@ from assistax.evaluation import evaluate
 from assistax.files import read_json, write_atomically
 from assistax.human import DISABILITIES
 from assistax.policies import scripted_team
-from assistax.results.comparison import markdown, read_references, report, tables
+from assistax.results.comparison import REFERENCES, markdown, read_references, report, tables
 from assistax.results.figures import learning_curves, save
 from assistax.results.stored import experiments, find_runs
 from assistax.stamp import commit
-from assistax.tasks import TASKS
+from assistax.tasks import TASKS, task_spec
 from assistax.teamwork import crossplay
 
 EPISODES = 64
 BOUNDS = {spec.name: spec.bound for spec in TASKS.values() if spec.version == 0}
 EXPERTS_PAGE = """# Scripted policies
 
-Each task has a scripted robot, the expert, that knows the whole simulator state (`src/assistax/policies/experts/`).
-All numbers are over {episodes} episodes on the evaluation seeds; the person is still unless said otherwise. This page
-is written by `python tools/pages.py experts` from `results/experts.json`.
+Each task has a scripted robot, the expert, that knows the whole simulator state (`src/assistax/policies/experts/`), and
+scripted people (`src/assistax/policies/people.py`). All numbers are over {episodes} episodes on the evaluation seeds.
+This page is written by `python tools/pages.py experts` from `results/experts.json`.
 
-## Expert
+# Version 1
 
-{experts}
+## The expert, and a person who works with it or does not
+
+Success, its 95 % interval, and safe success. A person who is *still* does nothing on purpose; one who *offers* moves
+into a posture in which the robot can reach what it is to work on (the face turned, the arm turned or lifted; postures
+by inverse kinematics over both bodies, `tools/offers.py`), at 1.5 rad/s, or *slowly* at 0.3 rad/s; one who *draws back*
+moves away from the tool. What lies between still and offers is the need for cooperation: large in scratch and bed bath,
+none in the other three tasks, whose person can be helped without their help.
+
+{pairs}
+
+What the pair of expert and offering person earns and does to the body:
+
+{offered}
 
 ## Nobody, and noise
 
@@ -44,44 +56,55 @@ Both agents still, and both random:
 
 {nobody}
 
-## Expert with people who differ
+## An offering person with a disability
 
-The person does nothing on purpose, so weakness and limited range show only where the robot moves the person: with
-half the range left, the forearm of arm assist cannot come within 0.1 m of the waist. Tremor moves the arm or head.
 Success, and in brackets the mean force in contact in N:
 
 {disabled}
 
-## Considerate expert
+## With preferences
 
-The considerate expert knows what the person prefers (drawn from the paper's sweep at every reset) and keeps speed and
-force inside it; the plain one does not:
+Drawn from the paper's sweep at every reset. The considerate expert knows them and keeps speed and force inside; the
+plain one does not. The person is still, but in the columns that begin with "offer".
 
 {considerate}
+
+# Version 0
+
+The person is still.
+
+{experts_v0}
+
+{nobody_v0}
+
+With preferences:
+
+{considerate_v0}
 """
 
 
-def measure() -> list[dict[str, Any]]:
-    """What scripted policies reach with whom: the records of results/experts.json."""
-    records = []
+def measure(path: Path = REFERENCES) -> str:
+    """What scripted policies reach with whom: adds to the records in results/experts.json those that it lacks.
 
-    def add(task, policy, report, **human):
-        person = {"disability": "none", "preference": "none", "people": "none"} | human
-        records.append({"task": task, "policy": policy, "human": person, **report, "commit": commit()})
-
-    for task in BOUNDS:
-        for policy in ("still", "random", "expert"):
-            add(task, policy, _play(task, policy))
-        for policy in ("still", "random", "expert", "considerate"):
-            add(task, policy, _play(task, policy, human={"preference": "sweep"}), preference="sweep")
-        for disability in DISABILITIES:
-            add(task, "expert", _play(task, "expert", human={"disability": disability}), disability=disability)
-    return records
-
-
-def _play(task: str, policy: str, **settings) -> dict[str, Any]:
-    env = make(f"{task}-v0", **settings)
-    return evaluate(env, scripted_team(policy, env), EPISODES)
+    Remove the file, or some of its records, to measure anew.
+    """
+    records = read_references(path)
+    known = {json.dumps([r["task"], r["policy"], r["human"]]) for r in records}
+    for task in (f"{name}-v1" for name in BOUNDS):
+        plain = ("still", "random", "expert", "offer", "offer_slowly", "withdraw")
+        wanted = [(policy, {}) for policy in plain]
+        wanted += [(policy, {"preference": "sweep"}) for policy in ("expert", "considerate", "offer")]
+        wanted += [("offer", {"disability": disability}) for disability in DISABILITIES]
+        for policy, human in wanted:
+            person = {"disability": "none", "preference": "none", "people": "none"} | human
+            if json.dumps([task, policy, person]) in known:
+                continue
+            env = make(task, human=human)
+            report = evaluate(env, scripted_team(policy, env), EPISODES)
+            records.append({"task": task, "policy": policy, "human": person, **report, "commit": commit()})
+            write_atomically(path, (json.dumps(records, indent=1) + "\n").encode())
+            print(task, policy, human, f"success {report['success_rate']:.0%}", flush=True)
+    return json.dumps(records, indent=1) + "\n"
 
 
 def experts(records: list[dict[str, Any]]) -> str:
@@ -91,30 +114,66 @@ def experts(records: list[dict[str, Any]]) -> str:
         person = {"disability": "none", "preference": "none", "people": "none"} | human
         return next(r for r in records if (r["task"], r["policy"], r["human"]) == (task, policy, person))
 
-    plain, nobody, disabled, considerate = [], [], [], []
+    def percent(report, safe=False):
+        low, high = report["success_ci"]
+        both = f" [{low:.0%}, {high:.0%}]"
+        return f"{report['success_rate']:.0%}{both}" + (f"; {report['safe_success_rate']:.0%}" if safe else "")
+
+    def disabled():
+        rows = []
+        for task in BOUNDS:
+            reports = [find(f"{task}-v1", "offer", disability=name) for name in DISABILITIES]
+            told = (f"{r['success_rate']:.0%} ({r['force']['mean_in_contact']:.1f})" for r in reports)
+            rows.append([task, *told])
+        return markdown(["task", *DISABILITIES], rows)
+
+    def nobody(version):
+        rows = []
+        for task in BOUNDS:
+            reports = [find(f"{task}-v{version}", policy) for policy in ("still", "random")]
+            told = (f"{r['mean_return']:.0f}, success {r['success_rate']:.0%}" for r in reports)
+            rows.append([task, *told])
+        return markdown(["task", "still: return", "random: return"], rows)
+
+    def considerate(version, policies):
+        rows = []
+        for task in BOUNDS:
+            row = [task]
+            for policy in policies:
+                report = find(f"{task}-v{version}", policy, preference="sweep")
+                row += [f"{report[name]['mean']:.0f}" for name in ("task_return", "preference_return")]
+                row += [f"{report['success_rate']:.0%}"]
+            rows.append(row)
+        told = ("task return", "preference", "success")
+        return markdown(["task", *(f"{who}: {what}" for who in policies for what in told)], rows)
+
+    def forces(report):
+        force = report["force"]
+        return [f"{force[name]:.1f}" for name in ("mean_in_contact", "p95")] + [f"{force['peak']:.0f}"]
+
+    pairs, offered, plain = [], [], []
     for task, bound in BOUNDS.items():
-        report = find(task, "expert")
-        force, value = report["force"], report["mean_return"]
-        numbers = [f"{force[name]:.1f}" for name in ("mean_in_contact", "p95")] + [f"{force['peak']:.0f}"]
-        plain.append([task, f"{report['success_rate']:.0%}", f"{value:.0f}", f"{value / bound:.0%}", *numbers])
-        reports = [find(task, policy) for policy in ("still", "random")]
-        nobody.append([task, *(f"{r['mean_return']:.0f}, success {r['success_rate']:.0%}" for r in reports)])
-        reports = [find(task, "expert", disability=name) for name in DISABILITIES]
-        disabled.append([task, *(f"{r['success_rate']:.0%} ({r['force']['mean_in_contact']:.1f})" for r in reports)])
-        row = [task]
-        for policy in ("expert", "considerate"):
-            report = find(task, policy, preference="sweep")
-            row += [f"{report[name]['mean']:.0f}" for name in ("task_return", "preference_return")]
-            row += [f"{report['success_rate']:.0%}"]
-        considerate.append(row)
-    head = ["task", "success", "return", "of the paper's bound", "force in contact, N", "95 % below, N", "peak, N"]
-    apart = [f"{who}: {what}" for who in ("plain", "considerate") for what in ("task return", "preference", "success")]
+        met = [find(f"{task}-v1", policy) for policy in ("expert", "offer", "offer_slowly", "withdraw")]
+        pairs.append([task, *(percent(report, safe=True) for report in met)])
+        report, full = met[1], task_spec(f"{task}-v1").bound
+        harmed = [f"{report['harm'][name]['mean']:.2f}" for name in ("seconds_above_comfort", "clamping", "impact")]
+        earned = [f"{report['mean_return']:.0f}", f"{report['mean_return'] / full:.0%}"]
+        offered.append([task, *earned, *forces(report), *harmed])
+        report = find(f"{task}-v0", "expert")
+        earned = [f"{report['mean_return']:.0f}", f"{report['mean_return'] / bound:.0%}"]
+        plain.append([task, f"{report['success_rate']:.0%}", *earned, *forces(report)])
+    force = ["force in contact, N", "95 % below, N", "peak, N"]
+    harm = ["seconds above comfort", "episodes with clamping", "with impact"]
     return EXPERTS_PAGE.format(
         episodes=EPISODES,
-        experts=markdown(head, plain),
-        nobody=markdown(["task", "still: return", "random: return"], nobody),
-        disabled=markdown(["task", *DISABILITIES], disabled),
-        considerate=markdown(["task", *apart], considerate),
+        pairs=markdown(["task", "still", "offers", "offers slowly", "draws back"], pairs),
+        offered=markdown(["task", "return", "of the bound", *force, *harm], offered),
+        nobody=nobody(1),
+        disabled=disabled(),
+        considerate=considerate(1, ("expert", "considerate", "offer")),
+        experts_v0=markdown(["task", "success", "return", "of the paper's bound", *force], plain),
+        nobody_v0=nobody(0),
+        considerate_v0=considerate(0, ("expert", "considerate")),
     )
 
 
@@ -219,7 +278,7 @@ def results(folder: Path, pictures: Path) -> str:
 
 # By name where each goes and what makes it.
 PAGES = {
-    "measure": (Path("results/experts.json"), lambda: json.dumps(measure(), indent=1) + "\n"),
+    "measure": (REFERENCES, measure),
     "experts": (Path("docs/experts.md"), lambda: experts(read_references())),
     "speed": (Path("docs/speed.md"), lambda: speed(Path("results/bench"))),
     "results": (Path("docs/results.md"), lambda: results(Path("results"), Path("docs/images"))),

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from assistax.env import Env, EnvConfig, EnvState, make
     from assistax.learning.algorithms import register_algorithm
     from assistax.tasks import TASKS, register_task
+    from assistax.training.numpy_team import load_team
 
     __version__: str
 
@@ -35,6 +36,7 @@ __all__ = [
     "SimulationError",
     "UsageError",
     "__version__",
+    "load_team",
     "make",
     "register_algorithm",
     "register_task",
@@ -55,6 +57,10 @@ def __getattr__(name: str):
         from assistax.learning.algorithms import register_algorithm
 
         return register_algorithm
+    if name == "load_team":
+        from assistax.training.numpy_team import load_team
+
+        return load_team
     if name == "__version__":
         from importlib.metadata import version
 

@@ -20,10 +20,10 @@ from assistax import scenes
 from assistax.episode import Bookkeeping, Sums
 from assistax.errors import UsageError, choose
 from assistax.human import HumanConfig, HumanProfile, disability, harm, preference
-from assistax.physics import PhysicsState, make_engine
+from assistax.physics import UNSTABLE, PhysicsState, make_engine
 from assistax.physics.batching import map_where, whole_batch
 from assistax.pytree import pytree
-from assistax.settings import check_count, with_settings
+from assistax.settings import check_count, check_measures, with_settings
 from assistax.spaces import Box
 from assistax.tasks import task_spec
 from assistax.tasks.base import Sensors, TaskState
@@ -39,7 +39,7 @@ class EnvConfig:
 
     episode_length: int = 1000  # control steps; 8 s
     substeps: int = 4  # physics steps of 2 ms per control step
-    control: str = "torque"  # "torque" with gravity compensation, or "position" (servo targets)
+    control: str = "torque"  # with gravity compensation; or "position", servo targets: 0 where the arm starts
     torque_scale: float = 0.3  # full action, as a fraction of the Panda's torque limits
     reset_noise: float = 0.005  # rad and rad/s, uniform on every joint
     force_limit: float = 20.0  # N, above this the force on the person is counted as too high
@@ -51,9 +51,7 @@ class EnvConfig:
     def __post_init__(self):
         for name in ("episode_length", "substeps", "contacts_per_env", "constraints_per_env"):
             check_count(f"env.{name}", getattr(self, name))
-        for name in ("reset_noise", "force_limit", "num_threads"):
-            if not getattr(self, name) >= 0:
-                raise UsageError(f"env.{name} must be 0 or more, not {getattr(self, name)}.")
+        check_measures("env", self)
         if self.num_threads > 2**16:
             raise UsageError(f"env.num_threads must be from 0 (all cores) to 65536, not {self.num_threads}.")
         if not 0 < self.torque_scale <= 1:
@@ -111,7 +109,9 @@ class Env:
             raise UsageError(f"The mjx engine cannot keep {self.name} to its joint speeds; take mujoco, warp or a -v0.")
         self.episode_length = config.episode_length
         self.dt = float(model.opt.timestep * config.substeps)  # s per control step
-        self.task = self.spec.task(task_config or self.spec.config, model, self.dt)
+        self.task_config = task_config or self.spec.config
+        check_measures("task_config", self.task_config)
+        self.task = self.spec.task(self.task_config, model, self.dt)
         self._slices = scenes.sensor_slices(model)
         driven = scene.human_driven
         self._body = disability.Body(model, driven)
@@ -129,15 +129,19 @@ class Env:
         motors = slice(len(driven), len(driven) + len(self.robot.joints))
         limits = jnp.asarray(model.actuator_ctrlrange[motors])
         self._brakes = jnp.zeros(model.nu - motors.stop)  # they take no control
-        self._ctrl_mid, self._ctrl_half = limits.mean(1), (limits[:, 1] - limits[:, 0]) / 2
-        if config.control == "torque":
-            self._ctrl_half *= config.torque_scale
+        middle = limits.mean(1) if config.control == "torque" else jnp.asarray(scene.start)
+        scale = config.torque_scale if config.control == "torque" else 1.0
+        self._ctrl_zero, self._ctrl_spans = middle, scale * jnp.stack([middle - limits[:, 0], limits[:, 1] - middle])
         self._books = Bookkeeping(self.dt, config.force_limit, config.human.preferring)
         self._draw_where = whole_batch(self._draw_batch)
         self._layouts = self._measure_layouts()
         sizes = {who: max(place.stop for place in layout.values()) for who, layout in self._layouts.items()}
         self.observation_sizes = {agent: sizes[agent] for agent in AGENTS}
         self.global_size = sizes["global"]
+
+    def __reduce__(self):
+        """Copied and pickled as what it is made of."""
+        return Env, (self.name, self.engine.name, self.config, self.task_config)
 
     # -- the two functions ---------------------------------------------------------------------
 
@@ -164,7 +168,8 @@ class Env:
           obs: by agent; of the new episode where the old one ended.
           state: likewise.
           rewards: by agent, the same for both (the paper's shared reward).
-          terminated: by agent and "__all__"; the task itself is over.
+          terminated: by agent and "__all__"; the task itself is over, or the physics failed or an action was not
+            finite: such a step changes nothing and pays nothing, and info["fault"] is not 0.
           truncated: by agent and "__all__"; the time limit, bootstrap through it.
           info: "final_observation" by agent and "final_global_observation", true also where a reset
             followed; "reward_terms" by name; "metrics" of the episode up to and with this step;
@@ -187,15 +192,21 @@ class Env:
         Nothing is drawn in a step; the key is there so that both have one signature.
         """
         del key
+        actions, fault = self._checked(actions)
         physics = self.engine.step(state.physics, self._trembling(self._ctrl(actions), state))
+        physics, broken = self._unbroken(physics, state.physics, fault)
         s = self.sensors(physics)
         task = self.task.advance(s, state.task)
         terms = self.task.reward_terms(s, task)
-        terminated = self.task.terminated(task)
+        over = self.task.terminated(task)
         if self.spec.rest_pays:
             left = jnp.maximum(self.config.episode_length - state.t - 1, 0)
-            terms[self.spec.rest_pays] *= 1.0 + left * terminated
+            terms[self.spec.rest_pays] *= 1.0 + left * over
         preferred = self._preference_terms(s, state, task, actions)
+        terms, preferred = (
+            {name: jnp.where(broken, 0.0, x) for name, x in some.items()} for some in (terms, preferred)
+        )
+        terminated = over | broken
         force = norm(s["robot_force"])
         harmed, cost = self._harm(s, state, force)
         state = dataclasses.replace(
@@ -205,7 +216,7 @@ class Env:
             tool_force=norm(s["tool_force"]),
             t=state.t + 1,
             harm=harmed,
-            episode=self._books.add(state.episode, s, force, sum(terms.values()), sum(preferred.values())),
+            episode=self._books.add(state.episode, s, force, sum(terms.values()), sum(preferred.values()), cost),
         )
         terms |= preferred
         reward = sum(terms.values())
@@ -253,7 +264,7 @@ class Env:
     def metrics(self, state: EnvState) -> dict[str, jax.Array]:
         """Outcome of the episode so far; after its last step, of the whole episode.
 
-        `success` (0 or 1), the task's own outcomes, `peak_force` (N) and `seconds_over_force_limit`
+        `success` (0 or 1), the task's own outcomes, `cost`, `peak_force` (N) and `seconds_over_force_limit`
         of the robot on the person, `work_robot` and `work_human` (J), `return` and `length` (steps);
         with preferences also `task_return` and `preference_return`, which add up to it. In version 1 also
         `safe_success`, success without clamping or impact beyond the limits, and `human.harm.outcomes`.
@@ -303,9 +314,36 @@ class Env:
         sums, zero = self._books.start(), jnp.float32(0.0)
         return EnvState(physics, start.task, start.person, start.phase, zero, t, start.seed, harmed, sums)
 
+    def _checked(self, actions: Obs) -> tuple[Obs, jax.Array]:
+        """Actions as numbers that can be used, and UNSTABLE if some of them could not."""
+        checked, finite = {}, jnp.bool_(True)
+        for agent, size in self.action_sizes.items():
+            if agent not in actions:
+                raise UsageError(f"There is no action for the {agent}; step takes one of each of {', '.join(AGENTS)}.")
+            action = jnp.asarray(actions[agent])
+            if action.shape != (size,) or not (
+                jnp.issubdtype(action.dtype, jnp.floating) or jnp.issubdtype(action.dtype, jnp.integer)
+            ):
+                raise UsageError(
+                    f"The {agent}'s action must be {size} numbers, shape ({size},), not {action.dtype} of shape "
+                    f"{action.shape}; for many environments at once, jax.vmap(env.step)."
+                )
+            good = jnp.isfinite(action)
+            checked[agent], finite = jnp.where(good, action, 0.0), finite & good.all()
+        return checked, jnp.where(finite, 0, UNSTABLE)
+
+    @staticmethod
+    def _unbroken(physics: PhysicsState, before: PhysicsState, fault) -> tuple[PhysicsState, jax.Array]:
+        """The state after a step or, with its fault, the one before if that step was none; and whether so."""
+        fault = physics.fault | fault
+        broken = (fault & UNSTABLE) != 0
+        kept = {name: jnp.where(broken, getattr(before, name), getattr(physics, name)) for name in MOVES}
+        return dataclasses.replace(physics, **kept, fault=fault), broken
+
     def _ctrl(self, actions: Obs) -> jax.Array:
         robot, human = (jnp.clip(actions[agent], -1.0, 1.0) for agent in AGENTS)
-        return jnp.concatenate([human, self._ctrl_mid + self._ctrl_half * robot, self._brakes])
+        down, up = self._ctrl_spans
+        return jnp.concatenate([human, self._ctrl_zero + jnp.where(robot < 0, down, up) * robot, self._brakes])
 
     def _trembling(self, ctrl, state: EnvState) -> jax.Array:
         if not self.config.human.disabled:
@@ -372,6 +410,7 @@ class Env:
         return layouts
 
 
+MOVES = ("qpos", "qvel", "qacc_warmstart", "sensordata")  # of a PhysicsState, what a step changes
 _SEED = 1_000_000  # folded into a reset's key for the state's seed; a split into four may be a fold of 0 to 3
 _HIDDEN = {"robot": ("theta_human", "dtheta_human"), "human": ("theta_robot", "dtheta_robot"), "global": ()}
 

@@ -47,6 +47,21 @@ ROWS: dict[str, Any] = {  # of evaluations.jsonl and metrics.jsonl
     "metrics": {"steps": STEPS, "seed": SEEDS, "episodes": STEPS, "episode": {str: float}, "reward": {str: float}},
 }
 
+MEMBER: Schema = {  # a row of a population's manifest.jsonl
+    "id": str,
+    "task": str,
+    "algorithm": str,
+    "architecture": str,
+    "row": range(10**6),
+    "seed": SEEDS,
+    "steps": STEPS,
+    "person": _PERSON,
+    "robot": bool,
+    "mean_return": float,
+    "success_rate": float,
+    "safe_success_rate?": float,
+}
+SPLIT: Schema = {"train": [str], "val": [str], "test": [str]}
 EXPERTS: Schema = [{"task": str, "policy": str, "human": _PERSON, "mean_return": float}]
 PEOPLE: Schema = [_PERSON]
 

@@ -53,6 +53,23 @@ def check_count(name: str, value: int) -> None:
         raise UsageError(f"{name} must be {'1 or more' if value < 1 else 'below 2^31'}, not {value}.")
 
 
+def check_measures(group: str, config: Any) -> None:
+    """Raise UsageError unless numbers are finite and 0 or more, and pairs begin with the smaller.
+
+    A field that may be negative says so: `field(default=-1.0, metadata={"signed": True})`.
+    """
+    for field in dataclasses.fields(config):
+        value, name = getattr(config, field.name), f"{group}.{field.name}"
+        if isinstance(value, tuple) and len(value) == 2 and all(isinstance(x, int | float) for x in value):
+            if not -math.inf < value[0] <= value[1] < math.inf:
+                raise UsageError(f"{name} must be two finite numbers, the smaller first, not {value}.")
+        elif isinstance(value, int | float) and not isinstance(value, bool):
+            low = -sys.float_info.max if field.metadata.get("signed") else 0.0
+            if not low <= value < math.inf:
+                what = "finite" if field.metadata.get("signed") else "0 or more"
+                raise UsageError(f"{name} must be {what}, not {value}.")
+
+
 def check_seed(name: str, value: int) -> None:
     """Raise UsageError unless it is a seed of its own: JAX takes 32 bits of it."""
     if not 0 <= value < 2**32:

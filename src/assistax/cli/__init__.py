@@ -15,6 +15,7 @@ from assistax.cli.export import export
 from assistax.cli.humans import humans
 from assistax.cli.play import play
 from assistax.cli.plot import plot
+from assistax.cli.population import population
 from assistax.cli.render import render
 from assistax.cli.reproduce import reproduce
 from assistax.cli.settings import settings
@@ -27,7 +28,7 @@ from assistax.errors import AssistaxError
 DESCRIPTION = "A robot arm and a person, both with policies of their own: train, evaluate, watch."
 COMMANDS = (
     *(train, sweep, play, evaluate, crossplay, render, table, plot),
-    *(export, reproduce, tasks, settings, humans, doctor, bench),
+    *(export, population, reproduce, tasks, settings, humans, doctor, bench),
 )
 
 

@@ -13,11 +13,15 @@ from assistax.errors import UsageError
 def export(run: Annotated[Path, tyro.conf.Positional], *, out: Path, seed: Number = None) -> None:
     """Write the trained team of a run into one small file, which plays without the run folder.
 
+    As .safetensors for `assistax play` and other commands; as .npz for `assistax.load_team`, which needs only NumPy.
+
     Args:
       run: a run folder.
-      out: NAME.safetensors.
+      out: NAME.safetensors or NAME.npz.
       seed: which of the run's seeds (default the first).
     """
+    from assistax.files import writing
+    from assistax.training.numpy_team import as_numpy
     from assistax.training.run import Run
     from assistax.training.team_file import save_team
 
@@ -26,5 +30,10 @@ def export(run: Annotated[Path, tyro.conf.Positional], *, out: Path, seed: Numbe
     if seed is not None and seed not in seeds:
         raise UsageError(f"{run} has no seed {seed}; it has {', '.join(map(str, seeds))}.")
     seed = seeds[0] if seed is None else seed
-    save_team(out, found.teams()[seeds.index(seed)], dataclasses.replace(found.config, seed=seed))
+    team = found.teams()[seeds.index(seed)]
+    if out.suffix == ".npz":
+        with writing(out):
+            as_numpy(team).save(out)
+    else:
+        save_team(out, team, dataclasses.replace(found.config, seed=seed))
     print(f"wrote {out}")

@@ -25,6 +25,7 @@ def train(
     partner: tuple[str, ...] = (),
     out: File = None,
     set: Set = (),
+    log: tuple[str, ...] = (),
     resume: File = None,
 ) -> None:
     """Train robot and human together, then evaluate and film them.
@@ -59,21 +60,26 @@ def train(
       set: change any setting, for example ppo.gamma=0.98 or task_config.force=2; `assistax settings TASK` lists
         them all with default and meaning. Who the person is, see `assistax humans --help`: env.human.disability,
         .preference, .people, .visibility.
+      log: tensorboard or wandb (or both), beside metrics.jsonl; each needs the extra of that name.
       resume: continue this run folder; --steps may prolong it.
     """
     from assistax.files import writing
     from assistax.settings import parse_assignments
     from assistax.training.configuration import configure
+    from assistax.training.loggers import check_loggers
     from assistax.training.loop import train as training
     from assistax.training.run import Run
 
+    check_loggers(log)
     if resume is not None:
         given: dict[str, Any] = {"task": task, "algorithm": algorithm, "num-envs": num_envs, "seed": seed}
         given |= {"recurrent": recurrent or None, "share-parameters": share_parameters or None}
         given |= {"num-seeds": num_seeds, "engine": engine, "preset": preset, "out": out, "set": set or None}
         given |= {"partner": partner or None}
         if extra := [name for name, value in given.items() if value is not None]:
-            raise UsageError(f"--resume takes everything but --steps from the run; leave out {', '.join(extra)}.")
+            raise UsageError(
+                f"--resume takes everything but --steps and --log from the run; leave out {', '.join(extra)}."
+            )
         run = Run.open(resume, steps=steps)
     else:
         if task is None:
@@ -84,10 +90,10 @@ def train(
         config = configure(task, parse_assignments(set), **choices)
         name = f"{task}-{config.algorithm}{'-rnn' * recurrent}{'-shared' * share_parameters}-{config.seed}"
         run = Run.create(config, out or free_folder(name))
-    print(f"{run.config.task} on the {run.env.engine.name} engine, into {run.folder}", file=sys.stderr)
     try:
+        print(f"{run.config.task} on the {run.env.engine.name} engine, into {run.folder}", file=sys.stderr)
         with writing(run.folder):
-            summary = training(run)
+            summary = training(run, log=log)
     except KeyboardInterrupt:
         if resume is None and run.newest_checkpoint() is None:
             shutil.rmtree(run.folder, ignore_errors=True)  # nothing is lost

@@ -1,5 +1,6 @@
 """Pictures and films of a scene."""
 
+import atexit
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
@@ -47,6 +48,8 @@ class Camera:
                 "(Debian: apt-get install libegl1 libgl1-mesa-dri) or set MUJOCO_GL=osmesa."
             ) from None
 
+        atexit.register(self._renderer.close)  # later, OpenGL is gone, and says so
+
     def __enter__(self):
         return self
 
@@ -54,8 +57,9 @@ class Camera:
         self.close()
 
     def close(self) -> None:
-        """Give the graphics memory back; without it that ends in an error of OpenGL when Python stops."""
+        """Give the graphics memory back."""
         self._renderer.close()
+        atexit.unregister(self._renderer.close)
 
     def picture(self, qpos: np.ndarray, marker: np.ndarray) -> np.ndarray:
         """Pixels [height, width, 3] uint8 of the scene at qpos [nq], its target at marker [3]."""
@@ -114,11 +118,10 @@ def film(filmed: Filmed, path: Path, plain: bool = False, view: str = "auto", **
     check_format(path)
     rate = FILM_FORMATS[path.suffix]
     with Camera(filmed.task, view="close" if view == "auto" else view, **camera) as cam:
-        told = not plain and len(filmed.force) > 0
-        spots = Spots(cam, filmed) if told or view == "auto" else None
+        spots = Spots(cam, filmed)
         if view == "auto":
             cam.view = viewpoint(cam, filmed, spots)
-        overlay = Overlay(cam, filmed, spots) if told else None
+        overlay = None if plain or not len(filmed.force) else Overlay(cam, filmed, spots)
 
         def picture(i):
             return overlay.picture(i) if overlay else cam.picture(filmed.qpos[i], filmed.marker[i])

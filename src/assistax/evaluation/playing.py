@@ -74,6 +74,7 @@ class Evaluator:
         params = {}
         for i, agent in enumerate(env.agents):
             drawn = team[agent].draw(jax.random.fold_in(reset_key, i)) if team[agent].members > 1 else 0
+            drawn = person if team[agent].by_person else drawn
             params[agent] = team[agent].member(drawn)
         carries = {agent: player.policy.initial_carry() for agent, player in team.items()}
 

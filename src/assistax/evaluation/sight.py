@@ -50,11 +50,14 @@ class Spots:
     """The spots of an episode, as they lie on the skin, or on the sleeve above it."""
 
     def __init__(self, camera, filmed: Filmed):
+        places = [place for places in filmed.spots.values() for place in places]
+        self._bodies = np.zeros(len(places), int)
+        self._places, self._normals = np.zeros((len(places), 3)), np.zeros((len(places), 3))
+        if not places:
+            return
         camera.pose(filmed.qpos[0], filmed.marker[0])
         model, data = camera.model, camera.data
-        self._bodies = np.array([model.body(body).id for body, places in filmed.spots.items() for _ in places], int)
-        places = [place for places in filmed.spots.values() for place in places]
-        self._places, self._normals = np.zeros((len(places), 3)), np.zeros((len(places), 3))
+        self._bodies[:] = [model.body(body).id for body, places in filmed.spots.items() for _ in places]
         for i, (body, place) in enumerate(zip(self._bodies, places, strict=True)):
             origin, rotation = data.xpos[body], data.xmat[body].reshape(3, 3)
             point = origin + rotation @ place

@@ -2,10 +2,13 @@
 
 from dataclasses import dataclass
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 
+from assistax.inference import NumPyPolicy
 from assistax.learning.networks import gaussian_log_prob, mlp, next_noise, step
-from assistax.learning.normalizer import normalize
+from assistax.learning.normalizer import normalize, shift_and_scale
 from assistax.learning.squashed import sample_squashed, split_head
 
 
@@ -44,6 +47,10 @@ class Actor:
         given = (carry[1][..., :n], kept) if correlated else ()
         return action, (memory, noise), gaussian_log_prob(action, mean, log_std, *given)
 
+    def as_numpy(self, params) -> NumPyPolicy:
+        """The same without JAX, its mean action."""
+        return _as_numpy(self, params, squashed=False)
+
     def _mean(self, params, memory, obs, reset):
         if self.normalize_obs:
             obs = normalize(params["normalizer"], obs)
@@ -72,3 +79,18 @@ class SquashedActor:
             return jnp.tanh(mean), carry
         noise = next_noise(carry, jnp.where(reset, 0.0, self.noise_correlation), key)
         return sample_squashed(mean, log_std, noise[: mean.shape[-1]])[0], noise
+
+    def as_numpy(self, params) -> NumPyPolicy:
+        """The same without JAX, its mean action."""
+        return _as_numpy(self, params, squashed=True)
+
+
+def _as_numpy(actor: Actor | SquashedActor, params, squashed: bool) -> NumPyPolicy:
+    net = jax.tree.map(lambda x: np.asarray(x, np.float32), params["actor"])
+    size = len(net["layers"][0]["w"])
+    mean, scale = np.zeros(size, np.float32), np.ones(size, np.float32)
+    if actor.normalize_obs:
+        mean, scale = (np.asarray(x, np.float32) for x in shift_and_scale(params["normalizer"]))
+    weights, biases = ([layer[name] for layer in net["layers"]] for name in ("w", "b"))
+    gru = (net["gru"]["w"], net["gru"]["b"]) if "gru" in net else None
+    return NumPyPolicy(actor.activation, squashed, mean, scale, weights, biases, gru, normalized=actor.normalize_obs)

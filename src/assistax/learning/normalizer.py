@@ -33,5 +33,11 @@ def update_stats(stats: RunningStats, x: jax.Array) -> RunningStats:
 
 def normalize(stats: RunningStats, x: jax.Array, clip: float = 10.0) -> jax.Array:
     """x [..., n] in standard deviations from the mean, clipped; x itself before any data."""
+    mean, scale = shift_and_scale(stats)
+    return jnp.clip((x - mean) * scale, -clip, clip)
+
+
+def shift_and_scale(stats: RunningStats) -> tuple[jax.Array, jax.Array]:
+    """The mean [n] and 1 / standard deviation [n]; 0 and 1 before any data."""
     var = jnp.where(stats.count > 0, stats.m2 / jnp.maximum(stats.count, 1.0), 1.0)
-    return jnp.clip((x - stats.mean) * jax.lax.rsqrt(var + 1e-8), -clip, clip)
+    return stats.mean, jax.lax.rsqrt(var + 1e-8)

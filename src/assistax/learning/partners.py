@@ -55,6 +55,7 @@ class Partners:
         for i, (agent, player) in enumerate(self.players.items()):
             seen = env_state if player.privileged else obs[agent]
             index, carry = state[agent]["index"], state[agent]["carry"]
+            index = env_state.person.index if player.by_person else index
             keys = jax.random.split(jax.random.fold_in(key, i), self.num_envs)
             actions[agent], carry = _act(player, index, carry, seen, reset, keys)
             moved[agent] = {"index": index, "carry": carry}

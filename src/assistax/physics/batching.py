@@ -6,6 +6,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from assistax.errors import UsageError
+
 
 def whole_batch(fn: Callable) -> Callable:
     """Turn `fn`, which maps arrays with one leading axis, into a function of one environment.
@@ -17,6 +19,9 @@ def whole_batch(fn: Callable) -> Callable:
 
     @flat.def_vmap
     def _rule(axis_size, in_batched, *args):
+        if not axis_size:
+            raise UsageError("There must be one environment or more, not 0.")
+
         def merge(x, batched):
             x = x if batched else jnp.broadcast_to(x, (axis_size, *x.shape))
             return x.reshape(-1, *x.shape[2:])

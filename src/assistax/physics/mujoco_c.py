@@ -5,9 +5,12 @@ thread pool with the solver run to convergence, and hands back float32. It keeps
 calls: the same arguments give the same bits, at any number of threads.
 """
 
+import ctypes
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -22,11 +25,24 @@ _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN
 _BAD = [int(getattr(mujoco.mjtWarning, f"mjWARN_BAD{x}")) for x in ("QPOS", "QVEL", "QACC", "CTRL")]
 
 
+def _quiet() -> None:
+    """MuJoCo writes its warnings into MUJOCO_LOG.TXT in the working directory; here they are faults of a state.
+
+    Its handler is set to a C function that does nothing: one in Python would be called from threads of the pool.
+    """
+    if mujoco.get_mju_user_warning() is None:
+        library = ctypes.CDLL(str(next(Path(mujoco.__file__).parent.glob("*mujoco.*[sd]*"))))
+        nothing = ctypes.cast(ctypes.CDLL(None).strlen, ctypes.c_void_p)
+        ctypes.c_void_p.in_dll(library, "mju_user_warning").value = nothing.value
+
+
 class MujocoEngine(Engine):
     name = "mujoco"
 
     def __init__(self, model: mujoco.MjModel, substeps: int = 4, num_threads: int = 0):
         super().__init__(model, substeps)
+        with suppress(OSError, ValueError, StopIteration):  # then there is a log file
+            _quiet()
         self.num_threads = num_threads
         # A callback may come from several threads; a Batch must not.
         self._lock = threading.Lock()

@@ -30,18 +30,22 @@ class Policy(Protocol):
         ...
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=("params",), meta_fields=("policy", "members"))
+@partial(jax.tree_util.register_dataclass, data_fields=("params",), meta_fields=("policy", "members", "by_person"))
 @dataclass(frozen=True)
 class Player:
     """Who plays one agent: in every episode one of its members.
 
     A pytree of its parameters, so that a jitted function that takes players is compiled once for all with the
     same policy and number of members. Every leaf of `params` is [members, ...]; () for a scripted policy.
+
+    With `by_person` members are the rows of env.human.people, and body, preferences and policy are one draw: the
+    environment draws the person (`state.person.index`), whose member then plays.
     """
 
     policy: Policy
     params: Any = ()
     members: int = 1
+    by_person: bool = False
 
     def __post_init__(self):
         if self.members < 1:

@@ -46,8 +46,8 @@ def references_of(experiment: Experiment, records: Iterable[dict[str, Any]]) -> 
 
 
 def expert_of(experiment: Experiment, records: Iterable[dict[str, Any]]) -> dict[str, Any] | None:
-    """The record of the expert, or of the considerate one if that is better."""
-    found = [r for r in references_of(experiment, records) if r["policy"] in ("expert", "considerate")]
+    """The record of the expert: with a person who is still or offers, considerate or not, whichever is best."""
+    found = [r for r in references_of(experiment, records) if r["policy"] in ("expert", "considerate", "offer")]
     return max(found, key=lambda r: r["mean_return"], default=None)
 
 

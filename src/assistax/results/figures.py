@@ -260,13 +260,15 @@ def _caption(source: str, panels: Sequence[Panel]) -> str:
 
 
 def learning_curve(rows: list[dict], title: str, path: Path) -> Figure:
-    """Write the return, the reward terms and the success rate of a run against its steps, from its metrics.jsonl.
+    """Write return, reward terms, success rate and cost of a run against its steps, from its metrics.jsonl.
 
     With preferences also the two returns that add up to it, dashed the task's, dotted the preference's.
     """
     with rc_context(STYLE):
-        figure = Figure(figsize=(13, 3.6), layout="constrained")
-        axes = figure.subplots(1, 3, sharex=True)
+        panels = ["return per episode", "reward per 1000 steps, by term", "success rate"]
+        panels += ["cost per episode"] * ("cost" in rows[0]["episode"])
+        figure = Figure(figsize=(4.3 * len(panels), 3.6), layout="constrained")
+        axes = figure.subplots(1, len(panels), sharex=True)
         terms = sorted(rows[0]["reward"])
         for i, seed in enumerate(sorted({row["seed"] for row in rows})):
             mine = [row for row in rows if row["seed"] == seed]
@@ -280,9 +282,7 @@ def learning_curve(rows: list[dict], title: str, path: Path) -> Figure:
                 x, y = [r["steps"] / 1e6 for r in mine], [1000 * r["reward"][term] for r in mine]
                 label = term if seed == rows[0]["seed"] else None
                 axes[1].plot(x, y, color=COLOURS[j % len(COLOURS)], label=label, lw=1.2)
-        for axis, name in zip(
-            axes, ("return per episode", "reward per 1000 steps, by term", "success rate"), strict=True
-        ):
+        for axis, name in zip(axes, panels, strict=True):
             axis.set(xlabel="million environment steps", title=name)
             axis.legend(fontsize=8)
         figure.suptitle(f"{title}; training episodes, with sampled actions", fontsize=10)
@@ -295,4 +295,6 @@ _OUTCOMES = (  # of an episode: axis, name, words and line
     (0, "task_return", ", task", "--"),
     (0, "preference_return", ", preference", ":"),
     (2, "success", "", "-"),
+    (2, "safe_success", ", safe", "--"),
+    (3, "cost", "", "-"),
 )

@@ -74,9 +74,14 @@ def approach(speed: jax.Array, distance: jax.Array, top_speed: float) -> jax.Arr
     return jnp.exp(-jnp.square(speed - wanted) / APPROACH_WIDTH)
 
 
-def alignment(to_mouth: jax.Array, bristle: jax.Array, handle: jax.Array) -> jax.Array:
-    """r_align = ½·[bristle·û + (1 − |handle·ẑ|)]: bristles toward the mouth, handle level."""
-    return 0.5 * (bristle @ unit(to_mouth) + 1.0 - jnp.abs(handle @ UP))
+def alignment(to_mouth: jax.Array, bristle: jax.Array, handle: jax.Array, inward: jax.Array | None = None) -> jax.Array:
+    """r_align = ½·[bristle·û + (1 − |handle·ẑ|)]: bristles toward the mouth, handle level.
+
+    Version 1: with `inward` [3], the unit direction into the mouth, bristle·inward; with the paper's, bristles that lie
+    on a cheek and look past it are aligned.
+    """
+    towards = unit(to_mouth) if inward is None else inward
+    return 0.5 * (bristle @ towards + 1.0 - jnp.abs(handle @ UP))
 
 
 def norm(x: jax.Array) -> jax.Array:

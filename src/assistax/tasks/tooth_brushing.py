@@ -23,6 +23,7 @@ from assistax.tasks.rewards import alignment, boltzmann, envelope, norm
 class ToothBrushingConfig:
     reach_scale: float = 2.0
     brush_scale: float = 1.0
+    align_inward: bool = False  # whether bristles are to look along the mouth's axis, or at its middle
     pay_help_only: bool = False  # whether the brush term pays only where it helps, or wherever the bristles are near
     near: float = 0.05  # m, the brush term counts when the bristles are nearer than this
     speed: float = 0.1  # m/s, v* of the brush term
@@ -71,7 +72,8 @@ class ToothBrushing:
         c = self.config
         distance, speed, force = self._stroke(s)
         tool = geometry.matrix(s["tool_quat"])
-        align = alignment(s["mouth_pos"] - s["tool_pos"], bristle=-tool[:, 0], handle=-tool[:, 2])
+        inward = -geometry.matrix(s["mouth_quat"])[:, 0] if c.align_inward else None
+        align = alignment(s["mouth_pos"] - s["tool_pos"], -tool[:, 0], -tool[:, 2], inward)
         paid = self.helping(s, state) if c.pay_help_only else distance < c.near
         return {
             "reach": c.reach_scale * envelope(distance),
@@ -127,7 +129,7 @@ SPECS = (
         1,
         ToothBrushing,
         limited(_SCENE, "head"),
-        ToothBrushingConfig(brush_scale=4.0, brush_angle=pi / 3, pay_help_only=True),
+        ToothBrushingConfig(brush_scale=4.0, brush_angle=pi / 3, align_inward=True, pay_help_only=True),
         expert="assistax.policies.experts.tooth_brushing:ToothBrushingExpert",
         bound=3542,
         preference_budget=1.256,

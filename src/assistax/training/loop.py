@@ -4,7 +4,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Container, Iterable
+from collections.abc import Container, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -24,6 +24,7 @@ from assistax.training.clock import Clock, Stop, progress_bar
 from assistax.training.configuration import to_json
 from assistax.training.journal import Journal
 from assistax.training.lock import locked
+from assistax.training.loggers import Told, check_loggers
 from assistax.training.run import Run
 from assistax.training.run_folder import check_checkpoint
 
@@ -33,77 +34,87 @@ _COMPILING = "Compiling, which takes some ten seconds."
 _FREE = {"steps", "evaluations", "evaluation_episodes", "deterministic", "engine", "env.num_threads", "partners"}
 
 
-def train(run: Run, seconds: float = math.inf) -> dict[str, Any] | None:
+def train(run: Run, seconds: float = math.inf, log: Sequence[str] = ()) -> dict[str, Any] | None:
     """Train from the newest checkpoint, if there is one, to the end: the summary.
+
+    `log` names loggers.LOGGERS that are told of it, too.
 
     None if it had to stop and save before, because of Ctrl-C or another signal, or because `seconds` have passed.
 
     Raises:
       UsageError: the run cannot go on as it is asked to; nothing was changed then.
     """
+    check_loggers(log)
     if not (run.folder / "checkpoints").is_dir():
         raise UsageError(f"{run.folder} is a result without checkpoints, which cannot go on; train anew with --out.")
     with locked(run.folder):
-        return _Training(run, Stop(seconds)).go()
+        return _Training(run, Stop(seconds), log).go()
 
 
 class _Training:
     """One process's work on a run."""
 
-    def __init__(self, run: Run, stop: Stop):
-        self.run, self.stop = run, stop
+    def __init__(self, run: Run, stop: Stop, log: Sequence[str] = ()):
+        self.run, self.stop, self.log = run, stop, log
         self.trainer, self.seeds, self.engine = run.trainer, run.seeds, run.env.engine
         self.evaluator = Evaluator(run.env, run.config.evaluation_episodes)
+        self.told = Told((), run.folder, self.seeds.seeds, 0, {})  # nobody yet
 
     def go(self) -> dict[str, Any] | None:
-        run, per_iteration = self.run, self.run.steps_per_iteration
         with self.stop:
             state, done, self.clock = self._start()
-            collect, improve = self.seeds.jit(self.trainer.collect), self.seeds.jit(self.trainer.improve)
-            total = run.iterations * per_iteration * run.config.num_seeds
-            collecting = "policy" if self.engine.name == "mujoco" else "collect"  # others are part of the same program
-            saved = time.monotonic()
-            began = done
-            with (
-                Journal(run.folder, "metrics") as self.metrics,
-                Journal(run.folder, "evaluations") as self.evaluations,
-                progress_bar(total, done * total // run.iterations) as bar,
-            ):
-                if done == 0:
-                    self._save(state, done)  # before any row, so that a run that has rows can always go on
-                self._evaluate_due(done, state)  # a signal may have kept it from that
-                leave = done == run.iterations or self.stop.signalled
-                while not leave:
-                    before = self.engine.seconds
-                    with self.clock(collecting):
-                        state, batch = jax.block_until_ready(collect(state))
-                    self.clock.move(collecting, "physics", self.engine.seconds - before)
-                    if done == began and self.stop.signalled:
-                        return None  # nothing is lost yet, and the rest of the iteration has to be compiled
-                    batches = self.seeds.each(batch)
-                    for one in batches:
-                        check_faults(one["log"]["fault"], self.engine.name)
-                    with self.clock("update"):
-                        state, losses = jax.block_until_ready(improve(state, batch))
-                    done += 1
-                    rows = self._rows(done, [one["log"] for one in batches], self.seeds.each(losses))
-                    self.metrics.write(rows)
-                    bar.update(total // run.iterations)
-                    if ended := [row for row in rows if row["episodes"]]:
-                        mean = np.mean([row["episode"]["return"] for row in ended])
-                        success = np.mean([row["episode"]["success"] for row in ended])
-                        bar.set_postfix_str(f"return {mean:.0f}, success {success:.0%}", refresh=False)
-                    self._evaluate_due(done, state)
-                    leave = done == run.iterations or self.stop.asked
-                    if leave or time.monotonic() - saved > CHECKPOINT_SECONDS:
-                        self._save(state, done)
-                        saved = time.monotonic()
-            if done < run.iterations or self.stop.signalled:
-                return None
-            try:
-                return self._finish()
-            except KeyboardInterrupt:
-                return None
+            steps = done * self.run.steps_per_iteration
+            with Told(self.log, self.run.folder, self.seeds.seeds, steps, _all_settings(self.run)) as self.told:
+                return self._go_on(state, done)
+
+    def _go_on(self, state: Any, done: int) -> dict[str, Any] | None:
+        run, per_iteration = self.run, self.run.steps_per_iteration
+        collect, improve = self.seeds.jit(self.trainer.collect), self.seeds.jit(self.trainer.improve)
+        total = run.iterations * per_iteration * run.config.num_seeds
+        collecting = "policy" if self.engine.name == "mujoco" else "collect"  # others are part of the same program
+        saved = time.monotonic()
+        began = done
+        with (
+            Journal(run.folder, "metrics") as self.metrics,
+            Journal(run.folder, "evaluations") as self.evaluations,
+            progress_bar(total, done * total // run.iterations) as bar,
+        ):
+            if done == 0:
+                self._save(state, done)  # before any row, so that a run that has rows can always go on
+            self._evaluate_due(done, state)  # a signal may have kept it from that
+            leave = done == run.iterations or self.stop.signalled
+            while not leave:
+                before = self.engine.seconds
+                with self.clock(collecting):
+                    state, batch = jax.block_until_ready(collect(state))
+                self.clock.move(collecting, "physics", self.engine.seconds - before)
+                if done == began and self.stop.signalled:
+                    return None  # nothing is lost yet, and the rest of the iteration has to be compiled
+                batches = self.seeds.each(batch)
+                for one in batches:
+                    check_faults(one["log"]["fault"], self.engine.name)
+                with self.clock("update"):
+                    state, losses = jax.block_until_ready(improve(state, batch))
+                done += 1
+                rows = self._rows(done, [one["log"] for one in batches], self.seeds.each(losses))
+                self.metrics.write(rows)
+                self.told.rows(rows)
+                bar.update(total // run.iterations)
+                if ended := [row for row in rows if row["episodes"]]:
+                    mean = np.mean([row["episode"]["return"] for row in ended])
+                    success = np.mean([row["episode"]["success"] for row in ended])
+                    bar.set_postfix_str(f"return {mean:.0f}, success {success:.0%}", refresh=False)
+                self._evaluate_due(done, state)
+                leave = done == run.iterations or self.stop.asked
+                if leave or time.monotonic() - saved > CHECKPOINT_SECONDS:
+                    self._save(state, done)
+                    saved = time.monotonic()
+        if done < run.iterations or self.stop.signalled:
+            return None
+        try:
+            return self._finish()
+        except KeyboardInterrupt:
+            return None
 
     # -- the beginning -------------------------------------------------------------------------
 
@@ -184,7 +195,9 @@ class _Training:
             found = by_episode(result)
             about = {"steps": done * self.run.steps_per_iteration, "seed": seed}
             about |= {"deterministic": self.run.config.deterministic}
-            self.evaluations.write([about | {"episodes": found["metrics"], "terms": found["terms"]}])
+            row = about | {"episodes": found["metrics"], "terms": found["terms"]}
+            self.evaluations.write([row])
+            self.told.rows([row])
             results.append(result)
         return results
 
@@ -239,15 +252,20 @@ class _Training:
         learning_curve(journal.read(run.folder, "metrics"), title, run.folder / "learning_curve.png")
         try:
             film(results[0]["filmed"], run.folder / "rollout.mp4")
+            self.told.film(steps, run.folder / "rollout.mp4")
         except UsageError as error:  # a machine that cannot render can still train
             print(f"No film: {error}", file=sys.stderr)
         return summary
 
 
+def _all_settings(run: Run) -> dict[str, Any]:
+    """All settings by full name."""
+    return dict(flat(json.loads(json.dumps(to_json(run.config)))))
+
+
 def _settings(run: Run) -> dict[str, Any]:
     """By full name, the settings that must not change while a run goes on."""
-    settings = flat(json.loads(json.dumps(to_json(run.config))))
-    return {name: value for name, value in settings if name not in _FREE}
+    return {name: value for name, value in _all_settings(run).items() if name not in _FREE}
 
 
 def _check_settings(run: Run, then: dict[str, Any], checkpoint: str) -> None:

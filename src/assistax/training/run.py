@@ -9,6 +9,7 @@ learning_curve.png    summary.json    rollout.mp4
 
 import dataclasses
 import json
+import shutil
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -62,8 +63,12 @@ class Run:
             (folder / "checkpoints").mkdir(parents=True)
         except OSError as error:
             raise UsageError(f"Cannot write to {folder}: {error.strerror}.") from None
-        run.config = dataclasses.replace(config, partner_copies=keep_partners(run.partners, folder))
-        run.write_config()
+        try:
+            run.config = dataclasses.replace(config, partner_copies=keep_partners(run.partners, folder))
+            run.write_config()
+        except BaseException:  # Ctrl-C, too: a folder without a configuration is of no use
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
         return run
 
     def write_config(self, steps: int = 0) -> None:

@@ -7,6 +7,8 @@ from assistax.errors import UsageError, choose
 from assistax.learning.networks import ACTIVATIONS
 from assistax.settings import check_count
 
+QUIETER = 0.75  # of a run, after which exploration has come down to final_log_std
+
 
 @dataclass(frozen=True)
 class PPOConfig:
@@ -29,6 +31,7 @@ class PPOConfig:
     hidden: tuple[int, ...] = (128, 128)  # units by layer, of actors and critics
     activation: str = "tanh"  # tanh, relu, ... of the hidden layers
     initial_log_std: float = 0.0  # of the actors' noise, natural logarithm
+    final_log_std: float | None = None  # what it is lowered to at least, evenly over QUIETER of the run; None: free
     cost_limit: float | None = None  # on an episode's undiscounted cost, on average; None: no limit
     multiplier_gains: tuple[float, ...] = (
         1.0,

@@ -23,7 +23,7 @@ from assistax.learning.log import iteration_log, step_log
 from assistax.learning.networks import gaussian_entropy, gaussian_log_prob, mlp, step, unroll
 from assistax.learning.normalizer import init_stats, update_stats
 from assistax.learning.partners import Partners
-from assistax.learning.ppo.config import PPOConfig
+from assistax.learning.ppo.config import QUIETER, PPOConfig
 from assistax.learning.ppo.constraint import check_cost, combined, in_means, init_constraint, updated
 from assistax.learning.ppo.losses import adapted_rate, clip_networks, clipped_policy_loss, value_loss
 from assistax.learning.ppo.team import TeamNetworks
@@ -287,6 +287,8 @@ class PPO:
         carry = (state.params, state.opt_state)
         (params, opt_state), stats = jax.lax.scan(epoch, carry, jax.random.split(epoch_key, c.update_epochs))
         stats = jax.tree.map(jnp.mean, stats)
+        if c.final_log_std is not None:
+            params = self._quieter(c, params, state.iteration)
         kl = {agent: stats[agent]["approx_kl"] for agent in self.learners}
         if c.share_parameters:
             kl = {"shared": sum(kl.values()) / len(kl)}
@@ -308,6 +310,14 @@ class PPO:
             iteration=state.iteration + 1,
         )
         return state, stats
+
+    def _quieter(self, c, params, iteration):
+        """Actors whose noise is at most what this far into the run allows: what noise did, their means must learn."""
+        share = jnp.minimum((iteration + 1) / (QUIETER * (self._last_iteration + 1)), 1.0)
+        most = c.initial_log_std + share * (c.final_log_std - c.initial_log_std)
+        actors = {name: networks["actor"] for name, networks in params.items()}
+        quiet = {name: actor | {"log_std": jnp.minimum(actor["log_std"], most)} for name, actor in actors.items()}
+        return {name: networks | {"actor": quiet[name]} for name, networks in params.items()}
 
     def _loss(self, c, params, part, start):
         losses, stats = {}, {}

@@ -124,7 +124,8 @@ class BathAroundExpert(Expert):
             hurry * way * manner.stroke_speed * self.env.dt / (2.0 * self._length[part]),
             0.0,
         )
-        away = geometry.unit((self._base - pos) * LEVEL) + 0.5 * UP
+        close = norm(self.env.task.to_points(s)).min() < 0.2  # m, from the arm
+        away = close * (geometry.unit((self._base - pos) * LEVEL) + 0.5 * UP)
         goal = Goal(
             jnp.where(above, spot, jnp.where(moving, pos + 0.1 * away, spot + 0.06 * out)),
             turn_to(rot, -out),

@@ -1,0 +1,156 @@
+"""Reward and help agree in version 1: the best-paid behaviour helps, by 5 % over the best-paid one that does not.
+
+A search over instants: where the tool is and how turned, how hard it presses, how fast it moves, what was before.
+What helps is what the task's own outcome counts. Poses in which the tool would be inside the head are left out.
+"""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+
+import assistax
+from assistax import scenes
+from assistax.human import preference
+from assistax.scenes import geometry
+
+HEAD = 0.09  # m, its radius
+MARGIN = 1.05
+
+
+def solid(name):
+    """Points [n, 3] m of what is in the way of a face, in the tool's frame: bowl and handle, or bristles and handle."""
+    if name == "feeding":
+        tip = [
+            (x, y, z)
+            for x in (-0.002, 0.002)
+            for y in np.linspace(-0.024, 0.024, 5)
+            for z in np.linspace(-0.036, 0.036, 7)
+        ]
+        return jnp.array(tip + [(0, 0, -0.03 - 0.01 * k) for k in range(10)])
+    tip = [(0.0, y, z) for y in (-0.006, 0.006) for z in np.linspace(-0.018, 0.018, 5)]
+    return jnp.array(tip + [(0.012, 0, -0.02 - 0.01 * k) for k in range(10)])
+
+
+class Instant:
+    """What a task pays and counts for one control step, from numbers x [12] that a search may choose."""
+
+    def __init__(self, name):
+        self.name, self.env = name, assistax.make(f"{name}-v1", engine="mujoco")
+        self.task, model = self.env.task, self.env.model
+        data = mujoco.MjData(model)
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        mujoco.mj_forward(model, data)
+        self.rest = {k: jnp.asarray(data.sensordata[at], jnp.float32) for k, at in scenes.sensor_slices(model).items()}
+        self.head = jnp.asarray(data.geom("head").xpos, jnp.float32)
+        self.state = self.task.reset(jax.random.key(0))
+
+    def __call__(self, x, before, person):
+        """(reward, whether it helps, whether it is possible)."""
+        s, state, possible = getattr(self, f"_{self.name}")(x, before)
+        after = self.task.advance(s, state)
+        paid = sum(self.task.reward_terms(s, after).values())
+        counted = {"scratch": "scratch_seconds", "feeding": "mouth_seconds", "tooth_brushing": "brush_seconds",
+                   "arm_assist": "seconds_at_waist"}[self.name]  # fmt: skip
+        helps = getattr(after, counted) > getattr(state, counted)
+        if person is not None:
+            speed, force = self.task.tool_speed(s, after), jnp.linalg.norm(s["tool_force"])
+            terms = preference.reward_terms(
+                person, speed, force, force, jnp.zeros(7), self.env.spec.preference_budget, self.task.helping(s, after)
+            )
+            paid += sum(terms.values())
+        return paid, helps, possible
+
+    def _pressing(self, s, parts, force, velocity, turned):
+        """The tool presses and moves so on these body parts, seen in world axes."""
+        push = jnp.array([0.0, 0.0, 1.0]) * force
+        s |= {"tool_force": push, "robot_force": push, "tool_vel": velocity}
+        for part in parts:
+            s |= {f"tool_force_{part}": push, f"tool_vel_{part}": turned(part) @ velocity}
+        return s
+
+    def _face(self, x):
+        frame = geometry.matrix(self.rest["mouth_quat"])
+        pos = self.rest["mouth_pos"] + frame @ x[:3]
+        angle = jnp.linalg.norm(x[3:6]) + 1e-9
+        quat = jnp.concatenate([jnp.cos(angle / 2)[None], jnp.sin(angle / 2) * x[3:6] / angle])
+        depth = (HEAD - jnp.linalg.norm(pos + solid(self.name) @ geometry.matrix(quat).T - self.head, axis=1)).max()
+        force = jnp.where(depth > -0.001, jnp.clip(x[6], 0.0, 20.0), 0.0)
+        s = self._pressing(dict(self.rest), ["head"], force, x[7:10], lambda part: frame.T)
+        return s | {"tool_pos": pos, "tool_quat": quat}, depth < 0.001
+
+    def _feeding(self, x, before):
+        s, possible = self._face(x)
+        return s, dataclasses.replace(self.state, spilled=before), possible
+
+    def _tooth_brushing(self, x, before):
+        s, possible = self._face(x)
+        return s, self.state, possible
+
+    def _scratch(self, x, before):
+        """`before` stands for the wrong segment."""
+        segment = self.state.segment
+        quat = jnp.where(segment == 0, self.rest["upper_arm_quat"], self.rest["forearm_quat"])
+        place = jnp.where(segment == 0, self.rest["upper_arm_pos"], self.rest["forearm_pos"])
+        force, nothing = jnp.clip(x[6], 0.0, 20.0), jnp.zeros(3)
+        frames = {part: geometry.matrix(self.rest[f"{part}_quat"]).T for part in ("upper_arm", "forearm")}
+        s = self._pressing(dict(self.rest), frames, force, x[7:10], frames.get)
+        right = jnp.array([segment == 0, segment == 1]) ^ before
+        for i, part in enumerate(frames):
+            s[f"tool_force_{part}"] = jnp.where(right[i], s[f"tool_force_{part}"], nothing)
+        return s | {"tool_pos": place + geometry.rotate(quat, self.state.itch) + x[:3]}, self.state, jnp.bool_(True)
+
+    def _arm_assist(self, x, before):
+        """`before`: the arm was thrown to where it is."""
+        s = dict(self.rest) | {"wrist_target_vel": x[7:10], "tool_pos": self.rest["wrist_target_pos"] + x[3:6]}
+        s |= {"wrist_target_pos": self.rest["waist_target_pos"] + x[:3]}
+        s["tool_pos"] = s["wrist_target_pos"] + x[3:6] * 0.1
+        return s, dataclasses.replace(self.state, thrown=before), jnp.bool_(True)
+
+
+def best(instant, person, wanted, number=6000, rounds=22):
+    """The most that is paid per step for what helps, or for what does not."""
+    look = jax.jit(jax.vmap(instant, (0, 0, None)))
+    rng, most = np.random.default_rng(0), -np.inf
+
+    def draw(n):
+        speed = rng.normal(size=(n, 3)) * 0.1 * rng.integers(0, 2, (n, 1))
+        return np.concatenate(
+            [rng.uniform(-0.15, 0.15, (n, 3)), rng.normal(size=(n, 3)) * 1.6, rng.uniform(0, 6, (n, 1)), speed], 1
+        )
+
+    x, before = draw(number), rng.random(number) < 0.5
+    scale = np.array([0.03] * 3 + [0.4] * 3 + [0.8] + [0.04] * 3)
+    for step in range(rounds):
+        paid, helps, possible = (np.asarray(y) for y in look(jnp.asarray(x, jnp.float32), jnp.asarray(before), person))
+        score = np.where(possible & (helps == wanted), paid, -np.inf)
+        order = np.argsort(-score)[: number // 20]
+        order = order[np.isfinite(score[order])]
+        most = max(most, float(score[order[0]]) if len(order) else -np.inf)
+        if not len(order):
+            x, before = draw(number), rng.random(number) < 0.5
+            continue
+        parents = rng.choice(order, number)
+        moved = scale * 0.85**step * rng.normal(size=x.shape) * (rng.random(x.shape) < 0.5)
+        x, before = x[parents] + moved * (np.arange(number) >= 50)[:, None], before[parents]
+    return most
+
+
+@pytest.mark.parametrize("who", ["nobody's", "default"])
+@pytest.mark.parametrize("name", ["scratch", "feeding", "tooth_brushing", "arm_assist"])
+def test_help_is_paid_best(name, who):
+    instant, person = Instant(name), None if who == "nobody's" else preference.preference()
+    helps, other = (best(instant, person, wanted) for wanted in (True, False))
+    assert helps > MARGIN * other > 0, (helps, other)
+
+
+def test_washing_is_paid_more_than_hovering_over_dirt():
+    """An episode that washes what is dirty, and one that hovers on a dirty point to its end."""
+    env = assistax.make("bed_bath-v1", engine="mujoco")
+    hovering = env.config.episode_length * 1.0  # reach pays 1 a step at most
+    late = 0.8 * env.config.episode_length  # even if the last point is washed after four fifths of the time
+    assert 156.0 + env.config.episode_length > MARGIN * hovering
+    assert late + 156.0 + (env.config.episode_length - late) > MARGIN * hovering

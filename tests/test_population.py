@@ -1,0 +1,216 @@
+"""Populations as folders of data: what is stored is what is loaded, or one line says which file is not."""
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from commands import assistax as assistax_command
+
+import assistax
+from assistax.errors import UsageError
+from assistax.evaluation import play
+from assistax.learning.partners import Partners
+from assistax.learning.ppo import PPO, PPOConfig
+from assistax.policies import Player, scripted_policy
+from assistax.teamwork.population import Population, check_split, load_split, save_split, split
+from assistax.training import loop
+from assistax.training.configuration import configure
+from assistax.training.run import Run
+
+WORDS = ("none", "tremor", "weakness", "limited_range", "tremor=0.2", "strength=0.5")
+CONFIG = PPOConfig(num_steps=4, num_minibatches=1, hidden=(8, 8), initial_log_std=-1.0)
+
+
+@pytest.fixture(scope="module")
+def teams(scratch):
+    """Six untrained teams, each with a person and another seed."""
+    trainer = PPO(scratch, CONFIG, 2, 1)
+    init, made = jax.jit(trainer.init), []
+    for seed, words in enumerate(WORDS):
+        params = trainer.policy_params(init(jax.random.key(seed)))
+        row = {"task": scratch.name, "algorithm": "ippo", "seed": seed, "steps": 64, "robot": True}
+        row |= {"person": {"disability": words, "preference": "none"}, "mean_return": 1.0, "success_rate": 0.5}
+        made.append((row, {agent: Player.of(trainer.policy(False), params[agent]) for agent in params}))
+    return made
+
+
+@pytest.fixture(scope="module")
+def population(teams):
+    return Population._of_teams(teams)
+
+
+@pytest.fixture
+def folder(population, tmp_path):
+    population.save(tmp_path / "pop")
+    return tmp_path / "pop"
+
+
+def test_what_is_loaded_acts_as_what_was_saved(population, folder, teams, scratch):
+    loaded = Population.load(folder)
+    assert loaded.rows == population.rows and loaded.people == population.people and len(loaded) == 6
+    obs = jax.random.normal(jax.random.key(9), (scratch.observation_sizes["human"],))
+    partner = loaded.partner("human", deterministic=True)
+    partner.check()
+    for i, (_, team) in enumerate(teams):
+        policy = dataclasses.replace(team["human"].policy, deterministic=True)
+        args = policy.initial_carry(), obs, jnp.bool_(True), jax.random.key(0)
+        own, _ = policy.act(team["human"].member(0), *args)
+        stored, _ = partner.policy.act(partner.member(i), *args)
+        np.testing.assert_allclose(stored, own, atol=2e-3)  # half precision: 11 bits
+    assert not loaded.partner("human").policy.deterministic
+
+
+def test_the_order_of_the_rows_means_nothing(folder, population):
+    rows = (folder / "manifest.jsonl").read_text().splitlines()
+    (folder / "manifest.jsonl").write_text("\n".join(reversed(rows)) + "\n")
+    loaded = Population.load(folder)
+    assert loaded.ids == population.ids[::-1]
+    for one in population.rows:
+        other = next(row for row in loaded.rows if row["id"] == one["id"])
+        jax.tree.map(np.testing.assert_array_equal, loaded.member(other), population.member(one))
+
+
+def test_an_id_changes_with_any_bit_and_with_who_it_is(teams):
+    row, team = teams[0]
+    ids = {Population._of_teams([(row, team)]).ids[0]}
+    ids |= {Population._of_teams([(row | {"person": {"disability": "tremor", "preference": "none"}}, team)]).ids[0]}
+    changed = jax.tree.map(lambda x: x, team["human"].params)
+    changed["actor"]["log_std"] = changed["actor"]["log_std"].at[0, 1].add(1e-3)
+    other = team | {"human": dataclasses.replace(team["human"], params=changed)}
+    ids |= {Population._of_teams([(row, other)]).ids[0]}
+    assert len(ids) == 3
+
+
+def test_damage_is_named_or_does_no_harm(folder, population):
+    """Flipped bytes, cut files and swapped rows: identical members, or one clear line."""
+    rng, found = np.random.default_rng(0), 0
+    for case in range(60):
+        path = sorted(folder.iterdir())[case % 2]
+        whole = path.read_bytes()
+        if case % 3:
+            at = int(rng.integers(len(whole)))
+            path.write_bytes(whole[:at] + bytes([whole[at] ^ (1 << int(rng.integers(8)))]) + whole[at + 1 :])
+        else:
+            path.write_bytes(whole[: int(rng.integers(len(whole)))])
+        try:
+            loaded = Population.load(folder)
+        except UsageError as error:
+            found += 1
+            assert "\n" not in str(error)
+        else:
+            assert set(loaded.ids) <= set(population.ids)
+            for row in loaded.rows:
+                one = next(r for r in population.rows if r["id"] == row["id"])
+                assert row["person"] == one["person"]
+                jax.tree.map(np.testing.assert_array_equal, loaded.member(row), population.member(one))
+        path.write_bytes(whole)
+    assert found > 30
+
+
+def test_members_that_are_swapped_are_found_out(folder):
+    rows = [json.loads(line) for line in (folder / "manifest.jsonl").read_text().splitlines()]
+    rows[0]["row"], rows[1]["row"] = rows[1]["row"], rows[0]["row"]
+    (folder / "manifest.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    with pytest.raises(UsageError, match="is not what was saved"):
+        Population.load(folder)
+
+
+def test_a_selection_is_a_population(population):
+    some = population.select([population.ids[4], population.ids[1]])
+    assert [row["person"]["disability"] for row in some.rows] == ["tremor=0.2", "tremor"]
+    jax.tree.map(np.testing.assert_array_equal, some.member(some[0]), population.member(population[4]))
+    assert some.partner().members == 2
+    with pytest.raises(UsageError, match="There is no member nobody in this population of 6"):
+        population.select(["nobody"])
+
+
+def test_a_split_parts_everybody_and_refuses_what_is_none(population, tmp_path):
+    parts = split(population, (0.5, 0.2), seed=1)
+    assert sorted(one for ids in parts.values() for one in ids) == sorted(population.ids)
+    assert [len(ids) for ids in parts.values()] == [3, 1, 2]
+    assert parts == split(population.select(population.ids[::-1]), (0.5, 0.2), seed=1)
+    save_split(tmp_path / "split.json", parts)
+    assert load_split(tmp_path / "split.json", population) == parts
+    for bad, message in (
+        (parts | {"val": parts["test"][:1]}, "in two of its parts"),
+        (parts | {"val": ["somebody"]}, "names somebody, who is not in this population"),
+        (parts | {"test": []}, "others to test with"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            check_split(population, bad)
+
+
+class Tells:
+    """A person whose first action says which member plays."""
+
+    privileged = False
+
+    def initial_carry(self):
+        return ()
+
+    def act(self, params, carry, obs, reset, key):
+        return jnp.full(3, params), carry
+
+
+def test_person_and_member_are_one_draw(population):
+    env = assistax.make("scratch-v0", engine="mujoco", episode_length=3, human={"people": population.people})
+    told = jnp.linspace(0.1, 0.6, len(population))
+    player = Player(Tells(), told, len(population), by_person=True)
+    team = {"robot": Player(scripted_policy("still", env, "robot")), "human": player}
+    result = play(env, team, 8)
+    assert len(set(result["person"].tolist())) > 2
+    seats = Partners(env, 8, {"human": player})
+    obs, state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 8))
+    actions, _ = seats.act(seats.init(jax.random.key(1)), state, obs, jnp.ones(8, bool), jax.random.key(2))
+    np.testing.assert_allclose(actions["human"][:, 0], told[state.person.index])
+
+
+def test_bad_folders_are_one_line(tmp_path, population):
+    with pytest.raises(UsageError, match=r"is not a population: it has no manifest\.jsonl"):
+        Population.load(tmp_path)
+    (tmp_path / "something").write_text("")
+    with pytest.raises(UsageError, match="is not empty"):
+        population.save(tmp_path)
+    with pytest.raises(UsageError, match="holds nobody twice"):
+        Population._of_teams(_twice(population))
+
+
+def _twice(population):
+    row = dict(population[0])
+    partner = {agent: population.select([row["id"]]).partner(agent) for agent in ("robot", "human")}
+    return [(row, partner), (row, partner)]
+
+
+SMALL = {"ppo.num_steps": 8, "ppo.num_minibatches": 2, "ppo.update_epochs": 1, "ppo.hidden": (8, 8)}
+SMALL |= {"env.episode_length": 16, "evaluations": 1, "evaluation_episodes": 3}
+
+
+def test_a_robot_trains_with_a_population(teams, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "film", lambda *_, **__: None)
+    population = Population._of_teams([(row | {"task": "scratch-v0"}, team) for row, team in teams])
+    config = configure("scratch-v0", SMALL | {"env.human.people": population.people}, num_envs=8, steps=128)
+    run = Run.create(config, tmp_path / "run", players={"human": population.partner("human")})
+    assert loop.train(run)["steps"] == 128
+    assert run.trainer.learners == ("robot",)
+
+
+def test_the_command_gathers_finished_runs(tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "film", lambda *_, **__: None)
+    config = configure("scratch", SMALL | {"env.human.disability": "tremor"}, num_envs=8, steps=64, num_seeds=2)
+    run = Run.create(config, tmp_path / "run")
+    with pytest.raises(UsageError, match="is not finished"):
+        Population.of_runs([run])
+    assert loop.train(run)
+    pop = tmp_path / "pop"
+    assert "2 members of scratch-v1" in assistax_command("population", "make", pop, tmp_path / "run").stdout
+    listed = assistax_command("population", "list", pop).stdout
+    assert listed.count("tremor") == 2 and "seed 1" in listed and "safely" in listed
+    assert "2 members of scratch-v1, all as they were saved" in assistax_command("population", "verify", pop).stdout
+    own, stored = run.teams()[1]["human"], Population.load(pop).partner("human", deterministic=True)
+    obs = jax.random.normal(jax.random.key(9), (run.env.observation_sizes["human"],))
+    args = own.policy.initial_carry(), obs, jnp.bool_(True), jax.random.key(0)
+    one, other = own.policy.act(own.member(0), *args)[0], stored.policy.act(stored.member(1), *args)[0]
+    np.testing.assert_allclose(one, other, atol=2e-3)
