@@ -1,12 +1,15 @@
 """Run folders and team files with random weights, made without training or compiling."""
 
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+import pytest
 
 from assistax.pytree import pytree
+from assistax.training import loop
 from assistax.training.checkpoint import save_checkpoint
 from assistax.training.configuration import TrainConfig, configure, to_json, trained_env
 from assistax.training.run import Run
@@ -33,6 +36,20 @@ def randomly(like, seed=0):
     """Arrays with the shapes of `like`."""
     rng = np.random.default_rng(seed)
     return jax.tree.map(lambda x: rng.uniform(0.5, 1.5, x.shape).astype(x.dtype), like)
+
+
+@contextmanager
+def without_pictures():
+    """Trainings end without curve and film, which take as long as a small training."""
+    with pytest.MonkeyPatch.context() as patch:
+        for picture in ("learning_curve", "film"):
+            patch.setattr(loop, picture, lambda *_, **__: None)
+        yield
+
+
+def train_without_pictures(run: Run):
+    with without_pictures():
+        return loop.train(run)
 
 
 def stored_run(folder: Path, config: TrainConfig, seed=0) -> Run:

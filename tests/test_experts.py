@@ -126,7 +126,7 @@ def test_the_expert_asks_for_torque_control():
         expert(env)
 
 
-@pytest.mark.parametrize("name", ["scratch-v0", "feeding-v0"])
+@pytest.mark.parametrize("name", ["scratch-v0", pytest.param("feeding-v0", marks=pytest.mark.slow)])
 def test_the_considerate_expert_is_liked_more(name):
     env = assistax.make(name, engine="mujoco", human={"preference": "speed=0.03:0.05 force=1:1.5"})
     plain, considerate = (

@@ -1,6 +1,7 @@
 """The three engines: against MuJoCo, against each other, and when things go wrong."""
 
 import dataclasses
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +28,17 @@ def engine(model):
 
 
 @pytest.fixture(scope="module")
+def warp(model):
+    return make_engine("warp", model)
+
+
+@cache
+def started(engine):
+    """`init` of a batch, compiled once."""
+    return jax.jit(jax.vmap(engine.init))
+
+
+@pytest.fixture(scope="module")
 def pressing(model):
     """(qpos [2, nq], ctrl [50, 2, nu]): the tool presses on either arm segment with 8 N and a little wavering."""
     poses = [touching_pose(model, body) for body in ("right_forearm", "right_upper_arm")]
@@ -49,7 +61,7 @@ def pressing(model):
 
 def run(engine, qpos, ctrl, overrides=None):
     """First sensordata [n, ...], qpos and sensordata [T, n, ...] of an open-loop run; the last state."""
-    state = jax.jit(jax.vmap(engine.init))(qpos, jnp.zeros_like(qpos), overrides or {})
+    state = started(engine)(qpos, jnp.zeros_like(qpos), overrides or {})
     first = state.sensordata
 
     def step(state, ctrl):
@@ -84,10 +96,10 @@ def test_c_engine_is_mujoco_to_the_bit(model, engine, pressing):
 
 
 @pytest.mark.parametrize("steps", [8, pytest.param(50, marks=pytest.mark.slow)])
-def test_warp_agrees_with_c_in_contact(model, engine, pressing, steps):
+def test_warp_agrees_with_c_in_contact(model, engine, warp, pressing, steps):
     qpos, ctrl = pressing
     first_c, qpos_c, sensors_c, _ = run(engine, qpos, ctrl[:steps])
-    first_w, qpos_w, sensors_w, state = run(make_engine("warp", model), qpos, ctrl[:steps])
+    first_w, qpos_w, sensors_w, state = run(warp, qpos, ctrl[:steps])
     force_c, force_w = forces(model, sensors_c), forces(model, sensors_w)
     assert (force_c[..., 0] > 0.5).mean() > 0.3  # the tool does touch
     np.testing.assert_allclose(first_w, first_c, atol=2e-3 * np.abs(first_c).max())
@@ -132,13 +144,13 @@ def test_joint_limits_and_strength_per_environment(model, name):
     assert bent[0] > 0.3 and bent[1] < 0.02 and bent[2] < 0.1
 
 
-def test_reinit_touches_only_the_masked(model, engine, pressing):
-    for candidate in (engine, make_engine("warp", model)):
+def test_reinit_touches_only_the_masked(engine, warp, pressing):
+    for candidate in (engine, warp):
         qpos, ctrl = (jnp.tile(x, (1,) * (x.ndim - 2) + (20, 1)) for x in pressing)
         step = jax.jit(jax.vmap(candidate.step))
-        state = step(jax.jit(jax.vmap(candidate.init))(qpos, 0 * qpos), ctrl[0])
+        state = step(started(candidate)(qpos, 0 * qpos, {}), ctrl[0])
         mask = jnp.arange(40) % 7 == 3
-        fresh = jax.vmap(candidate.init)(qpos + 0.01, 0 * qpos)
+        fresh = started(candidate)(qpos + 0.01, 0 * qpos, {})
         after = jax.jit(jax.vmap(candidate.reinit, (0, 0, 0, 0, None)))(state, mask, qpos + 0.01, 0 * qpos, {})
         for name in ("qpos", "qvel", "qacc_warmstart", "sensordata", "fault"):
             old, new, got = (np.asarray(getattr(s, name)) for s in (state, fresh, after))
@@ -146,10 +158,10 @@ def test_reinit_touches_only_the_masked(model, engine, pressing):
             np.testing.assert_allclose(got[mask], new[mask], rtol=1e-4, atol=1e-2 * np.abs(new).max())
 
 
-def test_nested_vmap_equals_flat_in_every_engine(model, engine, pressing):
+def test_nested_vmap_equals_flat_in_every_engine(engine, warp, pressing):
     qpos, ctrl = pressing
-    for candidate in (engine, make_engine("warp", model)):
-        state = jax.vmap(candidate.init)(qpos, 0 * qpos)
+    for candidate in (engine, warp):
+        state = started(candidate)(qpos, 0 * qpos, {})
         flat = jax.jit(jax.vmap(candidate.step))(state, ctrl[0])
         fold = lambda tree: jax.tree.map(lambda x: x[:, None], tree)  # noqa: E731
         nested = jax.jit(jax.vmap(jax.vmap(candidate.step)))(fold(state), fold(ctrl[0]))

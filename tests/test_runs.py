@@ -14,7 +14,7 @@ import jax
 import numpy as np
 import pytest
 from safetensors.numpy import load_file
-from stored import store_checkpoint
+from stored import store_checkpoint, train_without_pictures
 
 from assistax.errors import UsageError
 from assistax.training import journal, loop, pieces
@@ -109,7 +109,7 @@ def evaluated(tmp_path_factory):
     settings = SMALL | {"evaluations": 4, "evaluation_episodes": 3}
     config = configure("scratch", settings, num_envs=8, steps=5 * 64, num_seeds=2)
     run = Run.create(config, tmp_path_factory.mktemp("runs") / "evaluated")
-    return run, train(run)
+    return run, train_without_pictures(run)
 
 
 def test_evaluations_are_even_and_whole_and_the_last_is_the_summary(evaluated):
@@ -146,7 +146,7 @@ def test_a_partner_comes_from_a_run(evaluated, tmp_path):
     partner = find_partner(str(run.folder), run.env, "human").player
     assert partner.members == 2 and not partner.policy.deterministic  # acts as it was trained
     new = Run.create(small(partners=(f"human={run.folder}",), steps=64), tmp_path / "new")
-    assert train(new) and new.trainer.learners == ("robot",)
+    assert train_without_pictures(new) and new.trainer.learners == ("robot",)
     team = new.teams()[0]
     assert team["robot"].policy.deterministic and team["human"].members == 2
     for mine, theirs in zip(jax.tree.leaves(team["human"].params), jax.tree.leaves(partner.params), strict=True):
@@ -177,9 +177,8 @@ ITERATIONS = 12
 
 @pytest.fixture
 def recurrent(monkeypatch):
-    """The configuration of a run with memory that saves as often as it can, and is not filmed."""
+    """The configuration of a run with memory, while runs save as often as they can."""
     monkeypatch.setattr(loop, "CHECKPOINT_SECONDS", 0.0)
-    monkeypatch.setattr(loop, "film", lambda *_, **__: None)
     settings = SMALL | {"evaluations": 4, "evaluation_episodes": 3}
     return configure("scratch", settings, recurrent=True, num_envs=8, steps=64 * ITERATIONS)
 
@@ -208,15 +207,14 @@ def test_a_run_goes_on_from_whatever_a_kill_leaves(recurrent, tmp_path, monkeypa
 
     monkeypatch.setattr(loop._Training, "_save", copy_and_save)
     Run.create(recurrent, alone)
-    assert train(Run.open(alone))
+    assert train_without_pictures(Run.open(alone))
     with open(killed / "metrics.jsonl", "a") as file:
         file.write('{"steps": 999')  # a line that was torn
     (killed / "checkpoints" / "step_000000000001.safetensors.part").write_bytes(b"torn")
     assert Run.open(killed).newest_checkpoint().stem == f"step_{64 * (moment - 1):012d}"
     assert len(journal.read(killed, "metrics")) == moment
     monkeypatch.undo()
-    monkeypatch.setattr(loop, "film", lambda *_, **__: None)
-    assert train(Run.open(killed))
+    assert train_without_pictures(Run.open(killed))
     check_resumed(killed, alone)
     spent = json.loads((alone / "summary.json").read_text())["seconds"]
     assert set(spent) == {"physics", "policy", "update", "evaluation"} and min(spent.values()) >= 0

@@ -10,8 +10,8 @@ from assistax.learning.ppo import PPO, PPOConfig
 
 
 def test_ppo_solves_a_game_with_a_known_optimum_to_two_percent():
-    quick = {"num_steps": 16, "num_minibatches": 4, "hidden": (32, 32), "entropy_coef": 0.0, "gamma": 0.9}
-    ppo, state, *_ = trained(Meeting(), 120, learning_rate=3e-3, **quick)
+    quick = {"num_steps": 16, "num_minibatches": 2, "hidden": (16,), "entropy_coef": 0.0, "gamma": 0.9}
+    ppo, state, *_ = trained(Meeting(), 45, 32, learning_rate=1e-2, **quick)
     policy, params = ppo.policy(), ppo.policy_params(state)
     for c in (-1.0, 1.0):
         game_state = {"c": jnp.float32(c), "t": jnp.int32(2), "return": jnp.float32(0)}
@@ -48,8 +48,8 @@ def test_a_central_critic_helps_where_luck_hides_what_was_achieved():
 @pytest.mark.parametrize("recurrent", [False, True])
 def test_a_gru_solves_what_needs_memory_and_a_feed_forward_network_cannot(recurrent):
     """See Cue for why neither FF nor a GRU that is not reset can have more than it is asked for here."""
-    quick = {"num_steps": 20, "num_minibatches": 2, "hidden": (16,), "entropy_coef": 0.0, "gamma": 0.5}
-    *_, batch = trained(Cue(), 120, recurrent=recurrent, learning_rate=1e-2, initial_log_std=-1.0, **quick)
+    quick = {"num_steps": 20, "num_minibatches": 2, "hidden": (8,), "entropy_coef": 0.0, "gamma": 0.5}
+    *_, batch = trained(Cue(), 50, recurrent=recurrent, learning_rate=1e-2, initial_log_std=-1.0, **quick)
     assert batch["done"].any(0).all()  # in mid-rollout, in every environment
     later = ~np.asarray(batch["reset"])
     reward = float(np.asarray(batch["rewards"]["robot"])[later].mean())
