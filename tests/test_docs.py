@@ -1,5 +1,6 @@
 """The pages for those who build on the package: their code runs as it stands."""
 
+import importlib
 import re
 
 import pytest
@@ -27,3 +28,13 @@ def test_the_files_that_a_page_names_are_there(page):
     named = re.findall(r"`([\w./]+(?:\.py|/))`", (root / page).read_text())
     places = (root, root / "src/assistax")
     assert not [name for name in named if not any((place / name).exists() for place in places)]
+
+
+def test_the_pages_of_the_tasks_are_what_the_tasks_say(monkeypatch):
+    """Made anew by `python tools/pages.py tasks`, all but the pictures."""
+    root = DOCS.parent
+    monkeypatch.syspath_prepend(str(root / "tools"))
+    for path, text in importlib.import_module("task_pages").pages().items():
+        assert (root / path).read_text() == text, f"{path}: python tools/pages.py tasks"
+        for picture in re.findall(r"!\[.*\]\((.*)\)", text):
+            assert ((root / path).parent / picture).stat().st_size < 150_000

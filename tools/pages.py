@@ -1,17 +1,20 @@
-"""Pages of the documentation that are measured, not typed:
+"""Pages of the documentation that are made from the code and from what was measured, not typed:
 
 python tools/pages.py measure   # results/experts.json, some minutes
 python tools/pages.py experts   # docs/experts.md, from it
 python tools/pages.py speed     # docs/speed.md, from results/bench
 python tools/pages.py results   # docs/results.md and its curves, from results/
+python tools/pages.py tasks     # docs/tasks/ and its pictures, from the tasks
 """
 
 import json
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import task_pages
 
 from assistax.env import make
 from assistax.errors import choose
@@ -276,15 +279,21 @@ def results(folder: Path, pictures: Path) -> str:
     )
 
 
-# By name where each goes and what makes it.
-PAGES = {
-    "measure": (REFERENCES, measure),
-    "experts": (Path("docs/experts.md"), lambda: experts(read_references())),
-    "speed": (Path("docs/speed.md"), lambda: speed(Path("results/bench"))),
-    "results": (Path("docs/results.md"), lambda: results(Path("results"), Path("docs/images"))),
+def one(place: Path, make_page: Callable[[], str]) -> Callable[[], dict[Path, str | bytes]]:
+    return lambda: {place: make_page()}
+
+
+# By name what makes the files [path, content].
+PAGES: dict[str, Callable[[], Mapping[Path, str | bytes]]] = {
+    "measure": one(REFERENCES, measure),
+    "experts": one(Path("docs/experts.md"), lambda: experts(read_references())),
+    "speed": one(Path("docs/speed.md"), lambda: speed(Path("results/bench"))),
+    "results": one(Path("docs/results.md"), lambda: results(Path("results"), Path("docs/images"))),
+    "tasks": lambda: {**task_pages.pages(), **task_pages.pictures()},
 }
 
 if __name__ == "__main__":
-    place, make_page = PAGES[choose("page", sys.argv[-1], PAGES)]
-    write_atomically(place, make_page().encode())
-    print(f"wrote {place}")
+    for path, content in PAGES[choose("page", sys.argv[-1], PAGES)]().items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, content if isinstance(content, bytes) else content.encode())
+        print(f"wrote {path}")
