@@ -1,7 +1,7 @@
-"""The documentation site: uv run --group docs python tools/site.py [serve]
+"""The documentation site: uv run --only-group docs python tools/site.py [serve]
 
-Pages link to each other as they lie in the repository, so that links work there, too. Here they are staged with the same
-places, and built strictly: a broken link or anchor is an error. The result is .site/html.
+Pages link to each other as they lie in the repository, so that links work there, too. Here they are staged with the
+same places, and built strictly: a broken link or anchor is an error. The result is .site/html.
 """
 
 import shutil
