@@ -5,6 +5,7 @@ python tools/pages.py experts   # docs/experts.md, from it
 python tools/pages.py speed     # docs/speed.md, from results/bench
 python tools/pages.py results   # docs/results.md and its curves, from results/
 python tools/pages.py tasks     # docs/tasks/ and its pictures, from the tasks
+python tools/pages.py notebook  # docs/first_steps.ipynb, from the page
 """
 
 import json
@@ -13,6 +14,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import notebook
 import numpy as np
 import task_pages
 
@@ -289,6 +291,7 @@ PAGES: dict[str, Callable[[], Mapping[Path, str | bytes]]] = {
     "experts": one(Path("docs/experts.md"), lambda: experts(read_references())),
     "speed": one(Path("docs/speed.md"), lambda: speed(Path("results/bench"))),
     "results": one(Path("docs/results.md"), lambda: results(Path("results"), Path("docs/images"))),
+    "notebook": one(notebook.NOTEBOOK, lambda: notebook.notebook(notebook.PAGE.read_text())),
     "tasks": lambda: {**task_pages.pages(), **task_pages.pictures()},
 }
 
