@@ -3,6 +3,7 @@
 import importlib
 import json
 import re
+import tomllib
 
 import pytest
 from pages import DOCS, imported, python_blocks
@@ -10,7 +11,11 @@ from pages import DOCS, imported, python_blocks
 WITH_CODE = [
     path for path in [DOCS.parent / "README.md", *sorted(DOCS.rglob("*.md"))] if "```python" in path.read_text()
 ]
-SLOW = {"training.md", "adapters.md"}  # compile more than others; tests of their own cover what they use
+SLOW = {
+    "training.md",
+    "adapters.md",
+    "populations.md",
+}  # compile more than others; tests of their own cover what they use
 SMALLER = {"1024": "4", "range(100)": "range(2)"}  # sizes that a page names, and those of the test
 
 
@@ -26,6 +31,21 @@ def test_the_code_of_a_page_runs(page, tmp_path, registries, capsys, monkeypatch
         code = code.replace(size, smaller)
     imported(tmp_path / f"{page.stem}.py", code)
     assert "nan" not in capsys.readouterr().out
+
+
+def test_the_site_shows_every_page():
+    """tools/site.py fails for broken links, this for pages that nobody would find."""
+    root = DOCS.parent
+    site = tomllib.loads((root / "zensical.toml").read_text())["project"]
+
+    def pages(nav):
+        for entry in nav:
+            for where in entry.values():
+                yield from [where] if isinstance(where, str) else pages(where)
+
+    shown = list(pages(site["nav"]))
+    assert {str(path.relative_to(root)) for path in DOCS.rglob("*.md")} <= set(shown)
+    assert all((root / page).exists() for page in shown)
 
 
 def test_readme_names_the_pages():

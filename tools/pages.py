@@ -197,7 +197,7 @@ here and 0.1 s of 5 there, so that there are three ratios:
 {others}
 
 Several trainings at once go faster with a core each, on Linux `taskset -c 0 uv run assistax train …`: two of 10 M steps
-side by side took 26 minutes, where one with both cores takes 17 (looked at once).
+side by side took 26 minutes, where one with both cores takes 17 (measured once, not kept).
 """
 ASSISTIVE_GYM = {"scratch": 301, "bed_bath": 138, "arm_assist": 217, "feeding": 326}  # env steps/s
 PAPER_A100 = {"scratch": 31_698, "bed_bath": 39_945, "arm_assist": 39_154}  # env steps/s, its table of speeds
