@@ -16,6 +16,7 @@ SLOW = {
     "adapters.md",
     "populations.md",
 }  # compile more than others; tests of their own cover what they use
+ELSEWHERE = ("runs/", "checkpoints/", "populations/", ".site/")  # folders that commands make
 SMALLER = {"1024": "4", "range(100)": "range(2)"}  # sizes that a page names, and those of the test
 
 
@@ -53,14 +54,22 @@ def test_readme_names_the_pages():
     assert not [page for page in DOCS.glob("your_*.md") if f"docs/{page.name}" not in readme]
 
 
-@pytest.mark.parametrize(
-    "page", ["docs/design.md", "docs/deviations.md", "docs/experts.md", "README.md", "CONTRIBUTING.md"]
-)
-def test_the_files_that_a_page_names_are_there(page):
+PAGES = [
+    str(path.relative_to(DOCS.parent))
+    for path in (*sorted(DOCS.rglob("*.md")), *(DOCS.parent / name for name in ("README.md", "CONTRIBUTING.md")))
+]
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_what_a_page_names_is_there(page):
+    """Files of the repository, in code and as targets of links."""
     root = DOCS.parent
-    named = re.findall(r"`([\w./]+(?:\.py|/))`", (root / page).read_text())
-    places = (root, root / "src/assistax")
+    text = re.sub(r"^```.*?^```$", "", (root / page).read_text(), flags=re.DOTALL | re.MULTILINE)
+    places = (root, root / "src", root / "src/assistax")
+    named = [name for name in re.findall(r"`([\w.]+/[\w./]*(?:\.py|/))`", text) if not name.startswith(ELSEWHERE)]
     assert not [name for name in named if not any((place / name).exists() for place in places)]
+    links = [link.partition("#")[0] for link in re.findall(r"\]\(([^)\s]+)\)", text) if "://" not in link]
+    assert not [link for link in links if link and not ((root / page).parent / link).exists()]
 
 
 def test_the_pages_of_the_tasks_are_what_the_tasks_say(monkeypatch):
