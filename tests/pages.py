@@ -11,9 +11,9 @@ import assistax
 DOCS = Path(assistax.__file__).parents[2] / "docs"
 
 
-def python_blocks(page: str) -> list[str]:
+def python_blocks(page: Path) -> list[str]:
     """The Python code of a page, block by block."""
-    return re.findall(r"^```python\n(.*?)^```$", (DOCS / f"{page}.md").read_text(), re.DOTALL | re.MULTILINE)
+    return re.findall(r"^```python\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE)
 
 
 def imported(path: Path, code: str) -> ModuleType:

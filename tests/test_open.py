@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 from commands import assistax
-from pages import imported, python_blocks
+from pages import DOCS, imported, python_blocks
 
 from assistax.errors import UsageError
 from assistax.evaluation.film import Camera
@@ -23,7 +23,7 @@ SMALL = ["--num-envs", "4", "--set", "evolution.num_steps=8", "env.episode_lengt
 def package(registries, tmp_path_factory):
     """Somebody's package: the task and the algorithm of the docs."""
     folder = tmp_path_factory.mktemp("package")
-    blocks = {name: python_blocks(f"your_{name}")[0] for name in ("task", "algorithm")}
+    blocks = {name: python_blocks(DOCS / f"your_{name}.md")[0] for name in ("task", "algorithm")}
     return {name: imported(folder / f"{name}.py", code) for name, code in blocks.items()}
 
 

@@ -1,17 +1,22 @@
-"""Pages of the documentation that are measured, not typed:
+"""Pages of the documentation that are made from the code and from what was measured, not typed:
 
 python tools/pages.py measure   # results/experts.json, some minutes
 python tools/pages.py experts   # docs/experts.md, from it
 python tools/pages.py speed     # docs/speed.md, from results/bench
 python tools/pages.py results   # docs/results.md and its curves, from results/
+python tools/pages.py tasks     # docs/tasks/ and its pictures, from the tasks
+python tools/pages.py notebook  # docs/first_steps.ipynb, from the page
 """
 
 import json
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import notebook
 import numpy as np
+import task_pages
 
 from assistax.env import make
 from assistax.errors import choose
@@ -192,7 +197,7 @@ here and 0.1 s of 5 there, so that there are three ratios:
 {others}
 
 Several trainings at once go faster with a core each, on Linux `taskset -c 0 uv run assistax train …`: two of 10 M steps
-side by side took 26 minutes, where one with both cores takes 17 (looked at once).
+side by side took 26 minutes, where one with both cores takes 17 (measured once, not kept).
 """
 ASSISTIVE_GYM = {"scratch": 301, "bed_bath": 138, "arm_assist": 217, "feeding": 326}  # env steps/s
 PAPER_A100 = {"scratch": 31_698, "bed_bath": 39_945, "arm_assist": 39_154}  # env steps/s, its table of speeds
@@ -276,15 +281,22 @@ def results(folder: Path, pictures: Path) -> str:
     )
 
 
-# By name where each goes and what makes it.
-PAGES = {
-    "measure": (REFERENCES, measure),
-    "experts": (Path("docs/experts.md"), lambda: experts(read_references())),
-    "speed": (Path("docs/speed.md"), lambda: speed(Path("results/bench"))),
-    "results": (Path("docs/results.md"), lambda: results(Path("results"), Path("docs/images"))),
+def one(place: Path, make_page: Callable[[], str]) -> Callable[[], dict[Path, str | bytes]]:
+    return lambda: {place: make_page()}
+
+
+# By name what makes the files [path, content].
+PAGES: dict[str, Callable[[], Mapping[Path, str | bytes]]] = {
+    "measure": one(REFERENCES, measure),
+    "experts": one(Path("docs/experts.md"), lambda: experts(read_references())),
+    "speed": one(Path("docs/speed.md"), lambda: speed(Path("results/bench"))),
+    "results": one(Path("docs/results.md"), lambda: results(Path("results"), Path("docs/images"))),
+    "notebook": one(notebook.NOTEBOOK, lambda: notebook.notebook(notebook.PAGE.read_text())),
+    "tasks": lambda: {**task_pages.pages(), **task_pages.pictures()},
 }
 
 if __name__ == "__main__":
-    place, make_page = PAGES[choose("page", sys.argv[-1], PAGES)]
-    write_atomically(place, make_page().encode())
-    print(f"wrote {place}")
+    for path, content in PAGES[choose("page", sys.argv[-1], PAGES)]().items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically(path, content if isinstance(content, bytes) else content.encode())
+        print(f"wrote {path}")

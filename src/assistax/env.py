@@ -168,9 +168,9 @@ class Env:
           obs: by agent; of the new episode where the old one ended.
           state: likewise.
           rewards: by agent, the same for both (the paper's shared reward).
-          terminated: by agent and "__all__"; the task itself is over, or the physics failed or an action was not
+          terminated: by agent and `"__all__"`; the task itself is over, or the physics failed or an action was not
             finite: such a step changes nothing and pays nothing, and info["fault"] is not 0.
-          truncated: by agent and "__all__"; the time limit, bootstrap through it.
+          truncated: by agent and `"__all__"`; the time limit, bootstrap through it.
           info: "final_observation" by agent and "final_global_observation", true also where a reset
             followed; "reward_terms" by name; "metrics" of the episode up to and with this step;
             "robot_force" on the person in N; "cost", 0 or more, apart from the reward: see human.harm.cost, and in

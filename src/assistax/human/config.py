@@ -54,9 +54,9 @@ class HumanConfig:
         """Of whom every reset draws one."""
         if self.people != "none":
             return population.people(self.people)
-        liked = "default" if self.preference == "sweep" else self.preference
+        preferred = "default" if self.preference == "sweep" else self.preference
         names = DISABILITIES if self.disability == "standard" else [self.disability]
-        return tuple(Person(name, liked) for name in names)
+        return tuple(Person(name, preferred) for name in names)
 
     @cached_property
     def _profiles(self) -> HumanProfile:

@@ -31,10 +31,10 @@ def profiles() -> HumanProfile:
     number = len(DISABILITIES) * DRAWS
     with jax.ensure_compile_time_eval():
         keys = jax.random.split(jax.random.key(SEED, impl="threefry2x32"), number)
-        liked = jax.tree.map(np.asarray, jax.vmap(preference.sample)(keys))
+        preferred = jax.tree.map(np.asarray, jax.vmap(preference.sample)(keys))
     settings = [disability.parse(name) for name in DISABILITIES]
     hard = jax.tree.map(lambda *x: np.repeat(np.stack(x), DRAWS), *settings)
-    return HumanProfile(hard, liked, np.arange(number, dtype=np.int32))  # ty: ignore[invalid-argument-type]
+    return HumanProfile(hard, preferred, np.arange(number, dtype=np.int32))  # ty: ignore[invalid-argument-type]
 
 
 def names() -> list[str]:

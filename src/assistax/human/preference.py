@@ -1,4 +1,4 @@
-"""How a person likes it done: how fast, how firmly, without being poked, without waste.
+"""How a person prefers to be helped: how fast, how firmly, without being poked, without waste.
 
 Paper: section "Preference Rewards" and appendix "Preference Reward System".
 """
@@ -130,11 +130,11 @@ def describe(person: Preference) -> str:
     """In words."""
     (slow, fast), (soft, firm) = np.asarray(person.speed), np.asarray(person.force)
     w_speed, w_force, w_touch, _ = np.asarray(person.weights)
-    pace = "slow" if fast < 0.1 else "brisk" if slow > 0.06 else "at an even pace"
+    speed = "slow" if fast < 0.1 else "fast" if slow > 0.06 else "neither slow nor fast"
     touch = "gentle" if firm < 2.5 else "firm" if soft > 1.6 else "neither soft nor hard"
     cares = "how fast" if w_speed > w_force else "how firm"
     poke = "minds being poked" if w_touch < -0.05 else "does not mind a new touch much"
     return (
-        f"likes it {pace}, {slow:.2f}–{fast:.2f} m/s, and {touch}, {soft:.1f}–{firm:.1f} N; "
+        f"prefers it {speed}, {slow:.2f}–{fast:.2f} m/s, and {touch}, {soft:.1f}–{firm:.1f} N; "
         f"cares more about {cares} it is, and {poke}"
     )

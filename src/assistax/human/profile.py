@@ -35,9 +35,9 @@ class Person:
 
 def stack(people: tuple[Person, ...]) -> HumanProfile:
     """Their profiles, every leaf [len(people), ...] in NumPy."""
-    liked = [preference.parse("default" if p.preference == "none" else p.preference) for p in people]
+    preferred = [preference.parse("default" if p.preference == "none" else p.preference) for p in people]
     hard = [disability.parse(p.disability) for p in people]
-    stacked = (jax.tree.map(lambda *x: np.stack(x), *parts) for parts in (hard, liked))
+    stacked = (jax.tree.map(lambda *x: np.stack(x), *parts) for parts in (hard, preferred))
     return HumanProfile(*stacked, np.arange(len(people), dtype=np.int32))  # ty: ignore[invalid-argument-type]
 
 
@@ -46,6 +46,8 @@ def unstack(profiles: HumanProfile) -> tuple[Person, ...]:
     profiles = jax.tree.map(np.asarray, profiles)
     people = []
     for i in range(len(profiles.disability.tremor)):
-        hard, liked = (jax.tree.map(lambda x, i=i: x[i], part) for part in (profiles.disability, profiles.preference))
-        people.append(Person(disability.spell(hard), preference.spell(liked)))
+        hard, preferred = (
+            jax.tree.map(lambda x, i=i: x[i], part) for part in (profiles.disability, profiles.preference)
+        )
+        people.append(Person(disability.spell(hard), preference.spell(preferred)))
     return tuple(people)

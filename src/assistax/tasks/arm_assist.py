@@ -21,14 +21,14 @@ from assistax.tasks.rewards import norm, reach, rotation, waist
 
 @dataclass(frozen=True)
 class ArmAssistConfig:
-    waist_scale: float = 10.0
-    rotation_scale: float = 0.1
+    waist_scale: float = 10.0  # of the waist term
+    rotation_scale: float = 0.1  # of the rotation term
     unsettled: float = 1.0  # of the waist term is paid at the waist while the forearm moves, or was thrown there
     # What counts as brought back, and for how long in all it must last to be a success.
     waist_distance: float = 0.10  # m
     settled_speed: float = 1e3  # m/s, of the forearm, at most, while it counts
     carrying_speed: float = 1e3  # m/s, at most, from where it last lay still away from the waist
-    success_seconds: float = 0.5
+    success_seconds: float = 0.5  # s, in all
 
 
 @pytree

@@ -23,7 +23,7 @@ GRAVITY = 9.81  # m/s²
 
 @dataclass(frozen=True)
 class FeedingConfig:
-    reach_scale: float = 2.0
+    reach_scale: float = 2.0  # of the reach term
     speed: float = 0.20  # m/s, v*_app far from the mouth
     force: float = 1.0  # N, f* of the contact term
     pay_help_only: bool = False  # whether the contact term pays only while the person can eat, or anywhere
@@ -34,7 +34,7 @@ class FeedingConfig:
     bowl: float = 0.036  # m, from middle to tip: as near as the middle gets to a face from the front
     mouth_angle: float = pi  # rad: bowl from straight ahead, its tip from straight in, its upper side from up
     mouth_speed: float = 1e3  # m/s, at most
-    success_seconds: float = 0.5
+    success_seconds: float = 0.5  # s, in all
     # The arm starts with the spoon level. The food is lost when it tips too far while still away from the mouth.
     spill_angle: float = 0.7854  # rad from upright
     spill_distance: float = 0.1  # m

@@ -27,7 +27,7 @@ class ScratchConfig:
     near: float = 0.1  # m, the scratch term counts when the tool is nearer than this
     speed: float = 0.1  # m/s, v* of the scratch term
     force: float = 3.0  # N, f* of the scratch term
-    scratch_scale: float = 4.0
+    scratch_scale: float = 4.0  # of the scratch term
     pay_help_only: bool = False  # whether the scratch term pays only where it helps, or wherever the tool is near
     # Where an itch can be: between these fractions of the segment's half-length, and within this
     # angle of the side that faces away from the trunk.
@@ -38,7 +38,7 @@ class ScratchConfig:
     scratch_distance: float = 0.1  # m, from the tool point to the itch
     scratch_force: tuple[float, float] = (1.0, 6.0)  # N
     scratch_speed: tuple[float, float] = (0.03, 0.3)  # m/s
-    success_seconds: float = 2.0
+    success_seconds: float = 2.0  # s, in all
 
 
 @pytree

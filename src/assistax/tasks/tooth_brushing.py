@@ -21,8 +21,8 @@ from assistax.tasks.rewards import alignment, boltzmann, envelope, norm
 
 @dataclass(frozen=True)
 class ToothBrushingConfig:
-    reach_scale: float = 2.0
-    brush_scale: float = 1.0
+    reach_scale: float = 2.0  # of the reach term
+    brush_scale: float = 1.0  # of the brush term
     align_inward: bool = False  # whether bristles are to look along the mouth's axis, or at its middle
     pay_help_only: bool = False  # whether the brush term pays only where it helps, or wherever the bristles are near
     near: float = 0.05  # m, the brush term counts when the bristles are nearer than this
@@ -32,7 +32,7 @@ class ToothBrushingConfig:
     brush_angle: float = pi  # rad, from the bristles to straight into the face, at most
     brush_force: tuple[float, float] = (0.3, 3.0)  # N
     brush_speed: tuple[float, float] = (0.03, 0.3)  # m/s, across
-    success_seconds: float = 2.0
+    success_seconds: float = 2.0  # s, in all
 
 
 @pytree

@@ -52,7 +52,7 @@ def cross_play(entrants: Sequence[Entrant], episodes: int = 64, seed: int = EVAL
 
     Returns:
       ready for JSON: "task", "episodes", "robots" and "persons" (names); "return", "success" and "force_in_contact"
-      (N), means over episodes by [robot][person]; "self_play" and "cross_play", the same averaged over the pairs that
+      (N), means over episodes [robots, people]; "self_play" and "cross_play", the same averaged over the pairs that
       are a team and over the others (None if there are no others).
 
     Raises:
