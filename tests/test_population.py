@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +16,11 @@ from assistax.evaluation import play
 from assistax.learning.partners import Partners
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.policies import Player, scripted_policy
-from assistax.teamwork.population import Population, check_split, load_split, save_split, split
-from assistax.training import loop
+from assistax.teamwork.gather import gather
+from assistax.training import loop, splits
 from assistax.training.configuration import configure
+from assistax.training.partners import find_partner
+from assistax.training.population import Population
 from assistax.training.run import Run
 
 WORDS = ("none", "tremor", "weakness", "limited_range", "tremor=0.2", "strength=0.5")
@@ -39,7 +42,7 @@ def teams(scratch):
 
 @pytest.fixture(scope="module")
 def population(teams):
-    return Population._of_teams(teams)
+    return Population.of_teams(teams)
 
 
 @pytest.fixture
@@ -75,12 +78,12 @@ def test_the_order_of_the_rows_means_nothing(folder, population):
 
 def test_an_id_changes_with_any_bit_and_with_who_it_is(teams):
     row, team = teams[0]
-    ids = {Population._of_teams([(row, team)]).ids[0]}
-    ids |= {Population._of_teams([(row | {"person": {"disability": "tremor", "preference": "none"}}, team)]).ids[0]}
+    ids = {Population.of_teams([(row, team)]).ids[0]}
+    ids |= {Population.of_teams([(row | {"person": {"disability": "tremor", "preference": "none"}}, team)]).ids[0]}
     changed = jax.tree.map(lambda x: x, team["human"].params)
     changed["actor"]["log_std"] = changed["actor"]["log_std"].at[0, 1].add(1e-3)
     other = team | {"human": dataclasses.replace(team["human"], params=changed)}
-    ids |= {Population._of_teams([(row, other)]).ids[0]}
+    ids |= {Population.of_teams([(row, other)]).ids[0]}
     assert len(ids) == 3
 
 
@@ -128,19 +131,69 @@ def test_a_selection_is_a_population(population):
 
 
 def test_a_split_parts_everybody_and_refuses_what_is_none(population, tmp_path):
-    parts = split(population, (0.5, 0.2), seed=1)
-    assert sorted(one for ids in parts.values() for one in ids) == sorted(population.ids)
-    assert [len(ids) for ids in parts.values()] == [3, 1, 2]
-    assert parts == split(population.select(population.ids[::-1]), (0.5, 0.2), seed=1)
-    save_split(tmp_path / "split.json", parts)
-    assert load_split(tmp_path / "split.json", population) == parts
+    for kind in ("random", "interpolate", "extrapolate", "disability"):
+        parts = splits.split(population, kind, seed=1)
+        assert sorted(one for ids in parts.values() for one in ids) == sorted(population.ids)
+        assert parts == splits.split(population.select(population.ids[::-1]), kind, seed=1)
+        splits.save(tmp_path / "split.json", parts)
+        assert splits.load(tmp_path / "split.json", population) == parts
+    parts = splits.split(population)
     for bad, message in (
         (parts | {"val": parts["test"][:1]}, "in two of its parts"),
         (parts | {"val": ["somebody"]}, "names somebody, who is not in this population"),
         (parts | {"test": []}, "others to test with"),
     ):
         with pytest.raises(UsageError, match=message):
-            check_split(population, bad)
+            splits.check(population, bad)
+    with pytest.raises(UsageError, match="no preferences to split them by"):
+        splits.split(population, "extreme")
+    with pytest.raises(UsageError, match="the same algorithm"):
+        splits.split(population, "algorithm")
+
+
+def test_what_splits_part_by(population):
+    words = {row["id"]: row["person"]["disability"] for row in population.rows}
+    of = lambda parts, part: {words[one] for one in parts[part]}  # noqa: E731
+    assert "weakness" in of(splits.split(population, "extrapolate"), "test")  # the least strength
+    assert "none" in of(splits.split(population, "extrapolate"), "train")
+    preferring = [
+        (row | {"person": {"disability": "none", "preference": f"weights={weight},0.3,-0.03"}, "seed": i}, team)
+        for i, (weight, (row, team)) in enumerate(
+            zip((0.1, 0.9, 0.5, 0.8, 0.2, 0.3), preferring_teams(population), strict=True)
+        )
+    ]
+    extreme = splits.split(Population.of_teams(preferring), "extreme")
+    people = {row["id"]: row["seed"] for row in Population.of_teams(preferring).rows}
+    assert {people[one] for one in extreme["train"]} == {1, 3, 2}  # at most half of six
+
+
+def preferring_teams(population):
+    for row in population.rows:
+        one = population.select([row["id"]])
+        yield dict(row), {agent: one.partner(agent) for agent in ("robot", "human")}
+
+
+def test_everybody_of_several_kinds_acts_as_alone(population, scratch):
+    """PPO, another architecture and scripted people in one player, in training's way and in evaluation's."""
+    other = PPO(scratch, dataclasses.replace(CONFIG, hidden=(4, 4), recurrent=True), 2, 1)
+    params = other.policy_params(jax.jit(other.init)(jax.random.key(7)))
+    row = dict(population[0]) | {"seed": 9}
+    gru = Population.of_teams([(row, {agent: Player.of(other.policy(False), params[agent]) for agent in params})])
+    scripted = Population.scripted(scratch.name, population.people[0], ("offers", "random"))
+    everybody = Population.merge([population, scripted, gru, population])
+    assert len(everybody) == len(population) + 3 and len(set(everybody.ids)) == len(everybody)
+    mixed = everybody.partner("human", deterministic=True, env=scratch)
+    mixed.check()
+    obs, state = scratch.reset(jax.random.key(3))
+    seen = obs["human"], state, jnp.bool_(True), jax.random.key(5)
+    for i, row in enumerate(everybody.rows):
+        alone = everybody.select([row["id"]]).partner("human", deterministic=True, env=scratch)
+        own, _ = alone.act(alone.member(0), alone.initial_carry(), *seen)
+        picked, carry = mixed.act(mixed.member(i), mixed.initial_carry(), *seen)
+        read, also = mixed.act_as(jnp.int32(i), mixed.initial_carry(), *seen)
+        np.testing.assert_allclose(picked, own, atol=1e-6)
+        np.testing.assert_allclose(read, own, atol=1e-6)
+        jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), carry, also)
 
 
 class Tells:
@@ -175,7 +228,7 @@ def test_bad_folders_are_one_line(tmp_path, population):
     with pytest.raises(UsageError, match="is not empty"):
         population.save(tmp_path)
     with pytest.raises(UsageError, match="holds nobody twice"):
-        Population._of_teams(_twice(population))
+        Population.of_teams(_twice(population))
 
 
 def _twice(population):
@@ -190,7 +243,7 @@ SMALL |= {"env.episode_length": 16, "evaluations": 1, "evaluation_episodes": 3}
 
 def test_a_robot_trains_with_a_population(teams, tmp_path, monkeypatch):
     monkeypatch.setattr(loop, "film", lambda *_, **__: None)
-    population = Population._of_teams([(row | {"task": "scratch-v0"}, team) for row, team in teams])
+    population = Population.of_teams([(row | {"task": "scratch-v0"}, team) for row, team in teams])
     config = configure("scratch-v0", SMALL | {"env.human.people": population.people}, num_envs=8, steps=128)
     run = Run.create(config, tmp_path / "run", players={"human": population.partner("human")})
     assert loop.train(run)["steps"] == 128
@@ -202,7 +255,7 @@ def test_the_command_gathers_finished_runs(tmp_path, monkeypatch):
     config = configure("scratch", SMALL | {"env.human.disability": "tremor"}, num_envs=8, steps=64, num_seeds=2)
     run = Run.create(config, tmp_path / "run")
     with pytest.raises(UsageError, match="is not finished"):
-        Population.of_runs([run])
+        gather([run])
     assert loop.train(run)
     pop = tmp_path / "pop"
     assert "2 members of scratch-v1" in assistax_command("population", "make", pop, tmp_path / "run").stdout
@@ -214,3 +267,33 @@ def test_the_command_gathers_finished_runs(tmp_path, monkeypatch):
     args = own.policy.initial_carry(), obs, jnp.bool_(True), jax.random.key(0)
     one, other = own.policy.act(own.member(0), *args)[0], stored.policy.act(stored.member(1), *args)[0]
     np.testing.assert_allclose(one, other, atol=2e-3)
+
+
+def test_a_population_is_a_partner_by_name(teams, tmp_path, monkeypatch):
+    monkeypatch.setattr(loop, "film", lambda *_, **__: None)
+    folder = tmp_path / "pop"
+    everybody = Population.of_teams([(row | {"task": "scratch-v0"}, team) for row, team in teams])
+    scripted = Population.scripted("scratch-v0", everybody.people[0], ("offers", "still"))
+    Population.merge([everybody, scripted]).save(folder)
+    assistax_command("population", "split", folder, "--kind", "algorithm")
+    small = ["--set", *(f"{k}={v}".replace(" ", "") for k, v in SMALL.items())]
+    out = tmp_path / "run"
+    for part in ("train", "test"):
+        with pytest.raises(UsageError, match="Name a split and a part"):
+            find_partner(f"{folder}:nobody/{part}", None, "human")
+        assert len(splits.named(f"{folder}:algorithm/{part}")[1]) in (2, 6)
+    who = f"human={folder}:algorithm/test"
+    options = "--num-envs", 8, "--steps", 128, "--partner", who, "--out", out
+    assistax_command("train", "scratch-v0", *options, *small)
+    chosen = splits.named(f"{folder}:algorithm/test")[1]
+    shutil.rmtree(folder)  # the run has its own copy
+    run = Run.open(out)
+    assert run.trainer.learners == ("robot",) and run.env.config.human.people == chosen.people
+    assert Population.load(out / "partners/human").ids == chosen.ids
+    report = json.loads(assistax_command("evaluate", out, "--episodes", 3, "--json").stdout)
+    assert report["episodes"] == 3
+    other = assistax_command("evaluate", out, "--partner", "human=shy", "--episodes", 2, "--json")
+    assert json.loads(other.stdout)["partners"] == ["human=shy"]
+    (out / "partners/human/manifest.jsonl").write_text("")
+    with pytest.raises(UsageError, match="has no members"):
+        Run.open(out)

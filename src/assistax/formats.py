@@ -57,8 +57,10 @@ MEMBER: Schema = {  # a row of a population's manifest.jsonl
     "steps": STEPS,
     "person": _PERSON,
     "robot": bool,
-    "mean_return": float,
-    "success_rate": float,
+    "habit?": str,
+    "fraction?": float,
+    "mean_return?": float,
+    "success_rate?": float,
     "safe_success_rate?": float,
 }
 SPLIT: Schema = {"train": [str], "val": [str], "test": [str]}

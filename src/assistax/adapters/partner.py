@@ -28,11 +28,10 @@ def find_player(who: Who, env: Env, agent: str) -> Player:
         return find_partner(str(who), env, agent).player
     who.check()
     obs, state = jax.eval_shape(env.reset, jax.random.key(0))
-    seen, policy = (state if who.privileged else obs[agent]), who.policy
     first, key = jax.ShapeDtypeStruct((), bool), jax.random.key(0)
     try:
-        carry = policy.initial_carry()
-        action, _ = jax.eval_shape(lambda seen, first: policy.act(who.member(0), carry, seen, first, key), seen, first)
+        carry = who.initial_carry()
+        action, _ = jax.eval_shape(lambda *seen: who.act(who.member(0), carry, *seen, key), obs[agent], state, first)
     except (TypeError, ValueError, KeyError, IndexError, AttributeError) as error:
         what = str(error).partition("\n")[0]
         size = env.observation_sizes[agent]

@@ -40,17 +40,36 @@ def whole_number(text: str) -> int:
     return int(value) if (abs(value) < 2**53 and "e" in text.lower()) or "." in text else int(text)
 
 
-def teams_of(target: str, policy: str | None, engine: str | None, assignments: tuple[str, ...]):
-    """(env, teams by seed, what they are) of a run folder, a team file, or a task with a policy's name."""
+def teams_of(
+    target: str, policy: str | None, engine: str | None, assignments: tuple[str, ...], partners: tuple[str, ...] = ()
+):
+    """(env, teams by seed, what they are) of a run folder, a team file, or a task with a policy's name.
+
+    `partners` ("human=POP:random/test") play in place of who was there; a population brings its people along.
+    """
+    from assistax.settings import parse_assignments
+    from assistax.training.configuration import people_of
+    from assistax.training.partners import find_partner, split_pair
+
+    settings = people_of(partners) | parse_assignments(assignments)
+    env, teams, about = _teams_of(target, policy, engine, settings)
+    for text in partners:
+        agent, name = split_pair(text)
+        choose("agent", agent, env.agents)
+        player = find_partner(name, env, agent).player
+        teams = [team | {agent: player} for team in teams]
+        about = about | {"partners": list(partners)}
+    return env, teams, about
+
+
+def _teams_of(target: str, policy: str | None, engine: str | None, settings: dict[str, Any]):
     from assistax.env import Env
     from assistax.policies import SCRIPTED, scripted_team
-    from assistax.settings import parse_assignments
     from assistax.tasks import TASKS, is_task, task_spec
     from assistax.training.configuration import configure
     from assistax.training.run import Run
     from assistax.training.team_file import load_team, trained_file
 
-    settings = parse_assignments(assignments)
     if policy == "trained":
         env, team = load_team(trained_file(target), settings, engine)
         if env.name != (newest := task_spec(target).id):

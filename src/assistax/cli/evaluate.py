@@ -7,6 +7,7 @@ def evaluate(
     target: Target,
     *,
     policy: Name = None,
+    partner: tuple[str, ...] = (),
     episodes: int = 64,
     engine: Name = None,
     seed: Number = None,
@@ -25,6 +26,8 @@ def evaluate(
       target: a run folder, a team file, or a task together with --policy.
       policy: with a task, who plays: trained (the team that comes with it), still, random, expert or considerate
         (the robot; the human is then still, shows what it is to work on: offer, offer_slowly, or draws back: withdraw).
+      partner: AGENT=WHO who plays in place of the team's own, as in `assistax train`: human=shy,
+        human=POP:random/test.
       episodes: how many (intervals are over them).
       engine: auto, mujoco, warp or mjx (default: as the run, else auto).
       seed: of the evaluation's draws; fixed unless given.
@@ -34,7 +37,7 @@ def evaluate(
     """
     from assistax.evaluation.playing import EVALUATION_SEED, play, summarize
 
-    env, teams, about = teams_of(target, policy, engine, set)
+    env, teams, about = teams_of(target, policy, engine, set, partner)
     start = EVALUATION_SEED if seed is None else seed
     results = [summarize(play(env, team, episodes, start)) for team in teams]
     if json:

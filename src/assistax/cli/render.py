@@ -8,6 +8,7 @@ def render(
     *,
     out: File = None,
     policy: Name = None,
+    partner: tuple[str, ...] = (),
     engine: Name = None,
     seed: Number = None,
     set: Set = (),
@@ -27,6 +28,8 @@ def render(
       out: an .mp4, .webp or .gif, or a .png of the last moment (default TASK.mp4).
       policy: with a task, who plays: trained (the team that comes with it), still, random, expert or considerate
         (the robot; the human is then still, shows what it is to work on: offer, offer_slowly, or draws back: withdraw).
+      partner: AGENT=WHO who plays in place of the team's own, as in `assistax train`: human=shy,
+        human=POP:random/test.
       engine: auto, mujoco, warp or mjx (default: as the run, else auto).
       seed: of the episode's draws; fixed unless given.
       set: change any setting of the run or task, as in `assistax evaluate`.
@@ -40,6 +43,6 @@ def render(
 
     choose("view", view, ["auto", "main", "close"])
     path = film_path(out)
-    env, teams, _ = teams_of(target, policy, engine, set)
+    env, teams, _ = teams_of(target, policy, engine, set, partner)
     result = play(env, teams[0], 1, EVALUATION_SEED if seed is None else seed)
     film_episode(result, path, plain, width=width, height=height, view=view)

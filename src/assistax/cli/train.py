@@ -41,6 +41,7 @@ def train(
       assistax train scratch --set env.human.disability=tremor+weakness env.human.preference=sweep
       assistax train scratch --partner human=still
       assistax train scratch --partner human=runs/scratch-ippo-0
+      assistax train scratch --partner human=populations/scratch-v1:random/train
       assistax train --resume runs/scratch-ippo-0
 
     Args:
@@ -53,8 +54,9 @@ def train(
       seed: first random seed (default 0).
       num_seeds: independent runs in one program, with seeds S, S+1, ... (default 1).
       engine: auto (default), mujoco, warp or mjx.
-      partner: AGENT=WHO for a frozen partner, who does not learn: a scripted policy, or a run folder whose policy (of
-        several seeds, one per episode) plays it as it was trained.
+      partner: AGENT=WHO for a frozen partner, who does not learn: a scripted policy, a habit of a person, a run folder
+        whose policy (of several seeds, one per episode) plays it as it was trained, or a population or a part of one
+        (human=POP:random/train), of which every episode draws a member: body, preferences and policy.
       preset: hyperparameters: default, or paper for the paper's table.
       out: run folder (default runs/TASK-ALGORITHM-SEED, with a number if taken).
       set: change any setting, for example ppo.gamma=0.98 or task_config.force=2; `assistax settings TASK` lists

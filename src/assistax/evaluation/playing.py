@@ -76,15 +76,14 @@ class Evaluator:
             drawn = team[agent].draw(jax.random.fold_in(reset_key, i)) if team[agent].members > 1 else 0
             drawn = person if team[agent].by_person else drawn
             params[agent] = team[agent].member(drawn)
-        carries = {agent: player.policy.initial_carry() for agent, player in team.items()}
+        carries = {agent: player.initial_carry() for agent, player in team.items()}
 
         def step(carry, key):
             state, obs, carries, playing, first = carry
             actions = {}
             for agent, k in zip(env.agents, jax.random.split(key, env.num_agents), strict=True):
-                seen = state if team[agent].privileged else obs[agent]
-                act = team[agent].policy.act
-                actions[agent], carries[agent] = act(params[agent], carries[agent], seen, first, k)
+                seen = carries[agent], obs[agent], state, first, k
+                actions[agent], carries[agent] = team[agent].act(params[agent], *seen)
             obs, state, _, terminated, truncated, info = env.step_env(key, state, actions)
             still_on = playing & ~(terminated["__all__"] | truncated["__all__"])
             out = {k: info[k] for k in ("reward_terms", "robot_force", "fault")}

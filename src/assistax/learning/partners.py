@@ -36,7 +36,7 @@ class Partners:
         """By agent: which member plays in each environment, "index" [num_envs], and its "carry"."""
         state = {}
         for agent, player in self.players.items():
-            carry = player.policy.initial_carry()
+            carry = player.initial_carry()
             carry = jax.tree.map(lambda x: jnp.broadcast_to(x, (self.num_envs, *jnp.shape(x))), carry)
             state[agent] = {"index": jnp.zeros(self.num_envs, jnp.int32), "carry": carry}
         return self.redraw(state, jnp.ones(self.num_envs, bool), key)
@@ -53,11 +53,10 @@ class Partners:
         """
         actions, moved = {}, {}
         for i, (agent, player) in enumerate(self.players.items()):
-            seen = env_state if player.privileged else obs[agent]
             index, carry = state[agent]["index"], state[agent]["carry"]
             index = env_state.person.index if player.by_person else index
             keys = jax.random.split(jax.random.fold_in(key, i), self.num_envs)
-            actions[agent], carry = _act(player, index, carry, seen, reset, keys)
+            actions[agent], carry = _act(player, index, carry, obs[agent], env_state, reset, keys)
             moved[agent] = {"index": index, "carry": carry}
         return actions, moved
 
@@ -70,17 +69,13 @@ class Partners:
         return drawn
 
 
-def _act(player: Player, index, carry, seen, reset, keys):
+def _act(player: Player, index, *seen):
     """One step of a partner in all environments; what it costs does not grow with its members."""
-    act = player.policy.act
     if player.members == 1:
-        return jax.vmap(act, (None, 0, 0, 0, 0))(player.member(0), carry, seen, reset, keys)
-
-    def one(args):
-        i, *rest = args
-        return act(player.member(i), *rest)
-
+        chosen = player.member(0)
+        return jax.vmap(lambda *one: player.act(chosen, *one))(*seen)
     # A CPU reads the chosen weights where they are; gathering a copy for every environment costs six
     # times as much there. An accelerator needs the environments side by side.
-    everywhere = jax.lax.map if jax.default_backend() == "cpu" else lambda f, args: jax.vmap(f)(args)
-    return everywhere(one, (index, carry, seen, reset, keys))
+    if jax.default_backend() == "cpu":
+        return jax.lax.map(lambda args: player.act_as(*args), (index, *seen))
+    return jax.vmap(player.act_as)(index, *seen)

@@ -1,6 +1,17 @@
 """Who acts: the interface of a policy, players and teams, and the scripted ones."""
 
-from assistax.policies.player import Player, Policy, Team, stack
+from assistax.policies.player import Mixed, Player, Policy, Team, stack
 from assistax.policies.scripted import SCRIPTED, Random, Still, scripted_policy, scripted_team
 
-__all__ = ["SCRIPTED", "Player", "Policy", "Random", "Still", "Team", "scripted_policy", "scripted_team", "stack"]
+__all__ = [
+    "SCRIPTED",
+    "Mixed",
+    "Player",
+    "Policy",
+    "Random",
+    "Still",
+    "Team",
+    "scripted_policy",
+    "scripted_team",
+    "stack",
+]

@@ -40,11 +40,15 @@ class Reflex:
         return ()
 
     def act(self, params, carry, state, reset, key):
+        return self.moving(state, self.sign), carry
+
+    def moving(self, state, toward):
+        """The action that pulls toward the tool with `toward` times the usual force; below 0 away from it."""
         pos, _, jacobian = self.limb(state.physics.qpos)
         tool = self.env.sensors(state.physics)["tool_pos"]
-        force = self.sign * self.pull * geometry.unit(tool - pos)
+        force = toward * self.pull * geometry.unit(tool - pos)
         torque = jacobian[:3].T @ force - self.damping * state.physics.qvel[self._ids]
-        return jnp.clip(torque / self._full, -1.0, 1.0), carry
+        return jnp.clip(torque / self._full, -1.0, 1.0)
 
 
 class Offer:
@@ -55,12 +59,12 @@ class Offer:
     damping: Any = (4.0, 4.0, 1.0)  # N m s/rad
 
     def __init__(self, env, speed: float = 1.5):
-        """`speed` in rad/s: how fast the person moves from one posture to the next."""
+        """`speed` in rad/s: how fast the person moves from one posture to the next, unless the parameters say."""
         scene = env.spec.scene
         self.env, self._ids = env, scenes.qpos_ids(env.model, scene.human_driven)
         self._full = scenes.HUMAN_TORQUE * scene.human_strength
         self.rest = jnp.asarray(env.model.key("start").qpos[self._ids], jnp.float32)
-        self._step = speed * env.dt
+        self._speed = speed
 
     def initial_carry(self) -> Any:
         return {"aim": self.rest}
@@ -73,7 +77,8 @@ class Offer:
         carry = jax.tree.map(lambda new, old: jnp.where(reset, new, old), self.initial_carry(), carry)
         posture, carry = self.posture(carry, state)
         way = posture - carry["aim"]
-        aim = carry["aim"] + way * jnp.minimum(1.0, self._step / jnp.maximum(jnp.abs(way).max(), 1e-6))
+        step = (params["speed"] if params else self._speed) * self.env.dt
+        aim = carry["aim"] + way * jnp.minimum(1.0, step / jnp.maximum(jnp.abs(way).max(), 1e-6))
         qpos, qvel = state.physics.qpos[self._ids], state.physics.qvel[self._ids]
         torque = jnp.array(self.stiffness) * (aim - qpos) - jnp.array(self.damping) * qvel
         resting = jnp.abs(aim - self.rest).max() < 1e-3  # on the furniture, with loose muscles

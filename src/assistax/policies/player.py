@@ -78,6 +78,84 @@ class Player:
         """The parameters of one member."""
         return jax.tree.map(lambda x: x[index], self.params)
 
+    def initial_carry(self) -> Any:
+        """Memory at the beginning of an episode."""
+        return self.policy.initial_carry()
+
+    def act(self, chosen: Any, carry: Any, obs: jax.Array, state: Any, reset: jax.Array, key: jax.Array):
+        """(action, carry) of the member whose `member(index)` is `chosen`, for obs [n] and the EnvState."""
+        return self.policy.act(chosen, carry, state if self.privileged else obs, reset, key)
+
+    def act_as(self, index: jax.Array, carry: Any, obs: jax.Array, state: Any, reset: jax.Array, key: jax.Array):
+        """`act` of the member `index`; reads only its parameters."""
+        return self.act(self.member(index), carry, obs, state, reset, key)
+
+
+@dataclass(frozen=True)
+class Kinds:
+    """Policies of several kinds, as the policy of a Mixed player."""
+
+    policies: tuple[Policy, ...]
+
+    def initial_carry(self) -> Any:
+        return tuple(policy.initial_carry() for policy in self.policies)
+
+
+@partial(jax.tree_util.register_dataclass, data_fields=("params",), meta_fields=("policy", "members", "by_person"))
+@dataclass(frozen=True)
+class Mixed(Player):
+    """A player whose members have policies of several kinds; make it with `Mixed.of_players`.
+
+    `params` are (kind [members], row [members], by kind its members' parameters). A step costs one kind's on a CPU in
+    training, and all kinds' elsewhere.
+    """
+
+    policy: Any  # Kinds
+
+    @classmethod
+    def of_players(cls, players: Sequence[Player], kind: Any, row: Any, by_person: bool = False) -> "Mixed":
+        """Member i is the member row[i] of players[kind[i]]."""
+        params = jnp.asarray(kind), jnp.asarray(row), tuple(player.params for player in players)
+        return cls(Kinds(tuple(player.policy for player in players)), params, len(kind), by_person)
+
+    @property
+    def _players(self) -> list[Player]:
+        return [
+            Player(policy, params, max([len(x) for x in jax.tree.leaves(params)], default=1))
+            for policy, params in zip(self.policy.policies, self.params[2], strict=True)
+        ]
+
+    def check(self) -> None:
+        for player in self._players:
+            player.check()
+
+    def member(self, index: jax.Array | int) -> Any:
+        """Its kind, and of every kind the parameters of somebody: of its own kind, its own."""
+        kinds, rows, _ = self.params
+        return kinds[index], [
+            p.member(jnp.where(kinds[index] == i, rows[index], 0)) for i, p in enumerate(self._players)
+        ]
+
+    def act(self, chosen: Any, carry: Any, obs: jax.Array, state: Any, reset: jax.Array, key: jax.Array):
+        kind, params = chosen
+        seen = obs, state, reset, key
+        return self._switch(kind, carry, lambda i, player, own: player.act(params[i], own, *seen))
+
+    def act_as(self, index: jax.Array, carry: Any, obs: jax.Array, state: Any, reset: jax.Array, key: jax.Array):
+        seen = obs, state, reset, key
+        kinds, rows, _ = self.params
+        return self._switch(kinds[index], carry, lambda _, player, own: player.act_as(rows[index], own, *seen))
+
+    def _switch(self, kind: jax.Array, carry: Any, act):
+        def of(i, player):
+            def branch(carry):
+                action, own = act(i, player, carry[i])
+                return action, (*carry[:i], own, *carry[i + 1 :])
+
+            return branch
+
+        return jax.lax.switch(kind, [of(i, player) for i, player in enumerate(self._players)], carry)
+
 
 Team = dict[str, Player]
 """A player by agent."""

@@ -14,6 +14,8 @@ from assistax.policies import Player, Still
 from assistax.settings import check_count, check_seed, with_settings
 from assistax.stamp import stamp
 from assistax.tasks import stored_task, task_spec
+from assistax.training import splits
+from assistax.training.population import is_population
 from assistax.training.presets import num_envs, preset
 
 DEFAULT_STEPS = 5_000_000
@@ -97,8 +99,12 @@ def check_settings(settings: Iterable[str]) -> None:
 
 
 def configure(task: str, settings: dict[str, Any], recurrent=False, share_parameters=False, **choices) -> TrainConfig:
-    """A TrainConfig from a task's preset, then `choices` (fields), then `settings` ("ppo.gamma": 0.98)."""
+    """A TrainConfig from a task's preset, then `choices` (fields), then `settings` ("ppo.gamma": 0.98).
+
+    With a population as the human's partner, the people are its members unless the settings have others.
+    """
     check_settings(settings)
+    settings = people_of(choices.get("partners") or ()) | settings
     spec = task_spec(task)
     given = {name: value for name, value in choices.items() if value is not None}
     algorithm = ALGORITHMS[given.get("algorithm", "ippo")]
@@ -118,6 +124,16 @@ def configure(task: str, settings: dict[str, Any], recurrent=False, share_parame
     config = TrainConfig(spec.id, task_config=spec.config, **fields)
     resolve_engine(config.engine)
     return with_settings(config, settings)
+
+
+def people_of(partners: Iterable[str]) -> dict[str, Any]:
+    """The settings of who the person is that these partners ("human=POP:random/train") bring along."""
+    for text in partners:
+        agent, _, name = text.partition("=")
+        if agent == "human" and is_population(name):
+            people = splits.named(name)[1].people
+            return {"env.human.people": people, "env.human.disability": "none", "env.human.preference": "none"}
+    return {}
 
 
 def stored_config(stored: Mapping[str, Any], source: str) -> TrainConfig:

@@ -1,7 +1,8 @@
 """The frozen partners, who do not learn: scripted policies, or policies that were trained before.
 
-A run keeps its own copy of a trained partner, partners/AGENT.safetensors, whose hash stands in its configuration:
-whatever becomes of the folder or file that the partner came from, the run continues with the same partner.
+A run keeps its own copy of a trained partner, partners/AGENT.safetensors, or of a population, partners/AGENT/. The
+copy's hash stands in the run's configuration: whatever becomes of the folder or file that the partner came from, the
+run continues with the same partner.
 """
 
 from collections.abc import Mapping
@@ -16,9 +17,12 @@ from assistax.errors import UsageError, choose
 from assistax.files import writing
 from assistax.formats import PARTNER
 from assistax.learning.trainer import Trainer
-from assistax.policies import Player, scripted_policy
+from assistax.policies import Player, habits, scripted_policy
+from assistax.policies.habits import HABITS
+from assistax.training import splits
 from assistax.training.checkpoint import EVERYTHING, content_hash, load_checkpoint, read_metadata, save_checkpoint
 from assistax.training.configuration import TrainConfig, stored_config, to_json, trained_env
+from assistax.training.population import Population, is_population
 from assistax.training.run_folder import learned, read_config
 from assistax.training.team_file import params_like, read_team, trained_file
 
@@ -30,6 +34,7 @@ class Partner:
     player: Player
     deterministic: bool = False  # whether it acts without noise
     trained: dict[str, Any] | None = None  # the configuration of its training, as JSON
+    population: Population | None = None  # or who all its members are
 
 
 GIVEN = "given"  # the name of a partner that is one's own Python object
@@ -43,10 +48,10 @@ def find_partners(
     `players` are those that have no name; they have to be given again whenever the run is opened.
     """
     players = dict(players or {})
-    copies = dict(_pair(text) for text in config.partner_copies)
+    copies = dict(split_pair(text) for text in config.partner_copies)
     partners: dict[str, Partner] = {}
     for text in config.partners:
-        agent, name = _pair(text)
+        agent, name = split_pair(text)
         choose("agent", agent, env.agents)
         if name == GIVEN:
             if agent not in players:
@@ -67,6 +72,11 @@ def keep_partners(partners: Mapping[str, Partner], folder: Path) -> tuple[str, .
     """Write copies of trained partners into a run's folder; returns the run's `TrainConfig.partner_copies`."""
     copies = []
     for agent, partner in partners.items():
+        if partner.population is not None:
+            place = _path(folder, agent).with_suffix("")
+            with writing(place):
+                partner.population.save(place)
+            copies.append(f"{agent}={partner.population.hash}")
         if partner.trained is not None:
             path, player = _path(folder, agent), partner.player
             with writing(path):
@@ -80,9 +90,10 @@ def find_partner(name: str, env: Env, agent: str) -> Partner:
     """A frozen partner.
 
     Args:
-      name: a scripted policy (see `policies.scripted_policy`); "trained", the team in the package; a team file of the
-        same task; or a run folder of the same task: its policies for that agent, as they acted in training; every
-        episode draws one of its seeds.
+      name: a scripted policy (see `policies.scripted_policy`); for the human, a habit (see `policies.habits`);
+        "trained", the team in the package; a team file of the same task; a run folder of the same task: its policies
+        for that agent, as they acted in training, of which every episode draws one seed; or a population of the same
+        task or a part of it, "POP" or "POP:KIND/PART", whose people `env` must have (see `people_of`).
       env: where.
       agent: whom it plays.
 
@@ -93,12 +104,36 @@ def find_partner(name: str, env: Env, agent: str) -> Partner:
         return _of_team(trained_file(env.name), env, agent)
     if name.endswith(".safetensors"):
         return _of_team(Path(name), env, agent)
+    if is_population(name):
+        return _of_population(splits.named(name)[1], name, env, agent)
+    if agent == "human" and name in HABITS:
+        return Partner(habits.person(env, name))
     if Path(name).is_dir():
         return _of_run(Path(name), env, agent)
     try:
         return Partner(Player(scripted_policy(name, env, agent)))
     except UsageError as error:
-        raise UsageError(f"{error} Or name a run folder or a team file.") from None
+        raise UsageError(f"{error} Or name a habit, a run folder, a team file or a population.") from None
+
+
+def _of_population(population: Population, place: str, env: Env, agent: str) -> Partner:
+    if population.task != env.name:
+        raise UsageError(f"{place} is of {population.task} and cannot play the {agent} in {env.name}.")
+    mine = env.config.human.people
+    if agent == "human" and mine != population.people:
+        raise UsageError(
+            f"The members of {place} bring their bodies and preferences along: env.human.people must be "
+            f"theirs{', and is another list' if mine != 'none' else ''}."
+        )
+    for name, policies in population.weights.items():
+        theirs = policies[agent]["normalizer"]["mean"].shape[-1] if agent in policies else 0
+        if theirs != env.observation_sizes[agent]:
+            raise UsageError(
+                f"The {agent}s of {place}, architecture {name}, observe {theirs} numbers, but the {agent} here "
+                f"{env.observation_sizes[agent]}: its settings (preferences, for example) were others."
+            )
+    player = population.partner(agent, by_person=agent == "human", env=env)
+    return Partner(player, population=population)
 
 
 def _of_team(path: Path, env: Env, agent: str) -> Partner:
@@ -117,6 +152,11 @@ def _of_run(folder: Path, env: Env, agent: str) -> Partner:
 
 def _of_copy(folder: Path, expected: str, env: Env, agent: str) -> Partner:
     path = _path(folder, agent)
+    if path.with_suffix("").is_dir():
+        population = Population.load(path.with_suffix(""))
+        if population.hash != expected:
+            raise UsageError(f"{path.with_suffix('')} is not the population that this run was begun with; restore it.")
+        return _of_population(population, str(path.with_suffix("")), env, agent)
     about = read_metadata(path, PARTNER)
     if content_hash(path) != expected:
         raise UsageError(f"{path} is not the partner that this run was begun with; restore it from a copy.")
@@ -139,7 +179,7 @@ def _trainer(config: TrainConfig, place: Path, env: Env, agent: str) -> Trainer:
         raise UsageError(f"{place} was trained for {config.task} and cannot play the {agent} in {env.name}.")
     there, trainer = trained_env(config)
     if agent not in trainer.learners:
-        who = dict(_pair(text) for text in config.partners)[agent]
+        who = dict(split_pair(text) for text in config.partners)[agent]
         raise UsageError(f"The {agent} of {place} did not learn; name who played it: {agent}={who}.")
     for verb, ours, theirs in (
         ("observes", env.observation_sizes, there.observation_sizes),
@@ -157,7 +197,8 @@ def _path(folder: Path, agent: str) -> Path:
     return folder / "partners" / f"{agent}.safetensors"
 
 
-def _pair(text: str) -> tuple[str, str]:
+def split_pair(text: str) -> tuple[str, str]:
+    """("human", "still") of "human=still"."""
     agent, equals, name = text.partition("=")
     if not equals:
         raise UsageError(f"A partner is AGENT=WHO, for example human=still, not {text!r}.")

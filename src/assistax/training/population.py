@@ -13,7 +13,7 @@ import dataclasses
 import hashlib
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +21,19 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from assistax.errors import UsageError
-from assistax.files import read_json, read_rows, write_atomically, write_json
-from assistax.formats import MEMBER, SPLIT, SUMMARY
+from assistax.env import Env
+from assistax.errors import UsageError, choose
+from assistax.files import read_rows, write_atomically
+from assistax.formats import MEMBER
 from assistax.human import Person
 from assistax.learning.actors import Actor, SquashedActor
 from assistax.learning.normalizer import RunningStats
-from assistax.policies import Player
+from assistax.policies import Mixed, Player, habits
+from assistax.policies.habits import HABITS
 from assistax.training.checkpoint import EVERYTHING, load_checkpoint, read_metadata, save_checkpoint
-from assistax.training.run import Run
 
 POLICIES = {"ppo": Actor, "sac": SquashedActor}
+SCRIPTED = "scripted"  # the architecture of people with habits, who have no weights
 MANIFEST = "manifest.jsonl"
 
 
@@ -54,6 +56,11 @@ class Population:
         return tuple(row["id"] for row in self.rows)
 
     @property
+    def hash(self) -> str:
+        """Of everybody in it, in their order."""
+        return hashlib.sha256(" ".join(self.ids).encode()).hexdigest()
+
+    @property
     def task(self) -> str:
         return self.rows[0]["task"]
 
@@ -74,6 +81,8 @@ class Population:
         _check_rows(rows, folder / MANIFEST)
         policies, weights = {}, {}
         for name in dict.fromkeys(row["architecture"] for row in rows):
+            if name == SCRIPTED:
+                continue
             path = folder / f"weights-{name}.safetensors"
             about = read_metadata(path, {"population": {"kind": str, "policy": {str: object}, "like": {str: object}}})
             policies[name], weights[name] = _read_weights(path, about["population"])
@@ -87,23 +96,8 @@ class Population:
         return found
 
     @classmethod
-    def of_runs(cls, runs: Iterable[Run]) -> "Population":
-        """The finished runs' teams, a member for every seed; each was trained with one person of its own."""
-        teams = []
-        for run in runs:
-            human, summary = run.config.env.human, _summary(run)
-            person = {"disability": human.disability, "preference": human.preference}
-            if human.people != "none" or not _one_person(person):
-                raise UsageError(f"{run.folder} was trained with people drawn afresh, not with one person.")
-            for seed, team, report in zip(run.seeds.seeds, run.teams(), summary["evaluation"], strict=True):
-                row: dict[str, Any] = {"task": run.config.task, "algorithm": run.config.algorithm}
-                row |= {"seed": seed, "steps": summary["steps"], "person": person, "robot": True}
-                row |= {k: report[k] for k in ("mean_return", "success_rate", "safe_success_rate") if k in report}
-                teams.append((row, team))
-        return cls._of_teams(teams)
-
-    @classmethod
-    def _of_teams(cls, teams: Sequence[tuple[dict[str, Any], dict[str, Player]]]) -> "Population":
+    def of_teams(cls, teams: Sequence[tuple[dict[str, Any], Mapping[str, Player]]]) -> "Population":
+        """A population of these teams, each with its row of the manifest, but for id, architecture and row."""
         if not teams:
             raise UsageError("A population needs one member or more.")
         if len({row["task"] for row, _ in teams}) > 1:
@@ -118,11 +112,40 @@ class Population:
             policies[name] = policy
             members.setdefault(name, []).append(params)
             row = row | {"architecture": name, "row": len(members[name]) - 1}
-            rows.append({"id": _hash(params, row)} | row)
+            rows.append({"id": ""} | row | {"id": _hash(params, row)})
         if len({row["id"] for row in rows}) < len(rows):
             raise UsageError("A population holds nobody twice; one of these teams is given more than once.")
         weights = {name: jax.tree.map(lambda *xs: np.stack(xs), *some) for name, some in members.items()}
         return cls(tuple(rows), policies, weights)
+
+    @classmethod
+    def scripted(cls, task: str, person: Person, names: Iterable[str] = tuple(HABITS)) -> "Population":
+        """People with the habits of these names, all with one body and one preference; they have no robot."""
+        rows = []
+        for name in names:
+            row: dict[str, Any] = {"task": task, "algorithm": SCRIPTED, "seed": 0, "steps": 0, "robot": False, "row": 0}
+            row |= {"person": dataclasses.asdict(person), "architecture": SCRIPTED}
+            row["habit"] = choose("habit", name, HABITS)
+            rows.append({"id": _hash({}, row)} | row)
+        return cls(tuple(rows), {}, {})
+
+    @classmethod
+    def merge(cls, populations: Sequence["Population"]) -> "Population":
+        """Everybody of several populations of one task; who is in two of them is in it once."""
+        _check_rows([row for one in populations for row in one.rows[:1]], "these populations", twice=True)
+        rows, weights, policies = {}, {}, {}
+        for one in populations:
+            policies |= one.policies
+            for row in one.rows:
+                if row["id"] in rows:
+                    continue
+                if row["architecture"] != SCRIPTED:
+                    mine = weights.setdefault(row["architecture"], [])
+                    mine.append(one.member(row))
+                    row = row | {"row": len(mine) - 1}
+                rows[row["id"]] = row
+        stacked = {name: jax.tree.map(lambda *xs: np.stack(xs), *some) for name, some in weights.items()}
+        return cls(tuple(rows.values()), policies, stacked)
 
     def save(self, folder: Path | str) -> None:
         """Write the population into a folder of its own, the manifest last."""
@@ -150,6 +173,9 @@ class Population:
             raise UsageError("Select one member or more, and each once.")
         rows, order = [], {}
         for row in (known[one] for one in ids):
+            if row["architecture"] == SCRIPTED:
+                rows.append(row)
+                continue
             mine = order.setdefault(row["architecture"], [])
             rows.append(row | {"row": len(mine)})
             mine.append(row["row"])
@@ -160,79 +186,63 @@ class Population:
         return Population(tuple(rows), {name: self.policies[name] for name in order}, weights)
 
     def member(self, row: dict[str, Any]) -> dict[str, Any]:
-        """By agent the parameters of one member, as they are stored."""
+        """By agent the parameters of one member, as they are stored; nothing for people with habits."""
+        if row["architecture"] == SCRIPTED:
+            return {}
         return jax.tree.map(lambda x: x[row["row"]], self.weights[row["architecture"]])
 
-    def partner(self, agent: str = "human", deterministic: bool = False) -> Player:
-        """A frozen partner with all members, who belong to the people of `Population.people`: one draw for both.
+    def partner(
+        self, agent: str = "human", deterministic: bool = False, by_person: bool = True, env: Env | None = None
+    ) -> Player:
+        """A frozen partner with all members, in their order.
 
-        They act with the noise with which they were trained, unless `deterministic`.
+        Args:
+          agent: whom they play.
+          deterministic: whether they act without the noise with kind they were trained.
+          by_person: whether they belong to the people of `Population.people`: one draw for both.
+          env: where; people with habits need it.
+
+        Raises:
+          UsageError: somebody cannot play this agent.
         """
-        if len(self.policies) > 1:
-            raise UsageError(
-                f"These members have {len(self.policies)} architectures ({', '.join(self.policies)}), and one player "
-                "has one; select those of one."
-            )
-        ((name, policy),) = self.policies.items()
+        players, kind, place = [], np.zeros(len(self), np.int32), np.zeros(len(self), np.int32)
+        for name in dict.fromkeys(row["architecture"] for row in self.rows):
+            mine = [i for i, row in enumerate(self.rows) if row["architecture"] == name]
+            kind[mine], place[mine] = len(players), np.arange(len(mine))
+            players.append(self._player(name, [self.rows[i] for i in mine], agent, deterministic, env))
+        if len(players) == 1:
+            return dataclasses.replace(players[0], by_person=by_person)
+        return Mixed.of_players(players, kind, place, by_person)
+
+    def _player(self, name: str, rows: list[dict[str, Any]], agent: str, deterministic: bool, env: Env | None):
+        """These members of one architecture, in this order."""
+        if name == SCRIPTED:
+            if agent != "human" or env is None:
+                raise UsageError("People with habits play the human only, in an environment that `partner` is given.")
+            return habits.person(env, tuple(row["habit"] for row in rows))
         if agent not in self.weights[name]:
             raise UsageError(f"This population has nobody for the {agent}.")
-        order = np.array([row["row"] for row in self.rows])
+        order = np.array([row["row"] for row in rows])
         params = jax.tree.map(lambda x: jnp.asarray(x[order], jnp.float32), self.weights[name][agent])
         params |= {"normalizer": RunningStats(**params["normalizer"])}
-        return Player(dataclasses.replace(policy, deterministic=deterministic), params, len(self), by_person=True)
+        return Player(dataclasses.replace(self.policies[name], deterministic=deterministic), params, len(rows))
 
 
-def split(population: Population, shares: tuple[float, float] = (0.6, 0.2), seed: int = 0) -> dict[str, list[str]]:
-    """Ids by "train", "val" and "test", at random: these shares for the first two, the rest for the test."""
-    ids = sorted(population.ids)
-    np.random.default_rng(seed).shuffle(ids)
-    first, second = (round(x * len(ids)) for x in (shares[0], shares[0] + shares[1]))
-    parts = {"train": ids[:first], "val": ids[first:second], "test": ids[second:]}
-    return check_split(population, parts)
-
-
-def check_split(population: Population, parts: dict[str, list[str]]) -> dict[str, list[str]]:
-    """The split; raises UsageError if somebody is unknown or in two of its parts, or nobody is left for the test."""
-    everybody = [one for ids in parts.values() for one in ids]
-    if unknown := set(everybody) - set(population.ids):
-        raise UsageError(f"The split names {min(unknown)[:12]}, who is not in this population.")
-    if len(set(everybody)) < len(everybody):
-        twice = next(one for one in everybody if everybody.count(one) > 1)
-        raise UsageError(f"The split has {twice[:12]} in two of its parts.")
-    if not parts["test"] or not parts["train"]:
-        raise UsageError("A split needs members to train with and others to test with.")
-    return parts
-
-
-def save_split(path: Path, parts: dict[str, list[str]]) -> None:
-    write_json(path, parts)
-
-
-def load_split(path: Path, population: Population) -> dict[str, list[str]]:
-    return check_split(population, read_json(path, SPLIT))
+def is_population(name: str | Path) -> bool:
+    """Whether "POP" or "POP:KIND/PART" names a folder that has a manifest."""
+    return any((Path(part) / MANIFEST).is_file() for part in (str(name), str(name).rpartition(":")[0] or "."))
 
 
 # -- parts -------------------------------------------------------------------------------------
 
 
-def _check_rows(rows: list[dict[str, Any]], path: Path) -> None:
+def _check_rows(rows: list[dict[str, Any]], path: Path | str, twice: bool = False) -> None:
     if not rows:
         raise UsageError(f"{path} has no members.")
-    if len({row["id"] for row in rows}) < len(rows):
+    if not twice and len({row["id"] for row in rows}) < len(rows):
         raise UsageError(f"{path} has a member twice.")
     if len({row["task"] for row in rows}) > 1:
         raise UsageError(f"{path} mixes tasks: {', '.join(sorted({row['task'] for row in rows}))}.")
-
-
-def _one_person(person: dict[str, str]) -> bool:
-    return person["disability"] != "standard" and person["preference"] != "sweep"
-
-
-def _summary(run: Run) -> dict[str, Any]:
-    path = run.folder / "summary.json"
-    if not path.exists():
-        raise UsageError(f"{run.folder} is not finished: it has no summary.json.")
-    return read_json(path, SUMMARY)
 
 
 def _rounded(params: Any) -> Any:
@@ -257,7 +267,10 @@ def _flat(tree: Any) -> dict[str, np.ndarray]:
 
 def _hash(params: dict[str, Any], row: dict[str, Any]) -> str:
     """Of one member's weights and of who it is."""
-    found = hashlib.sha256(json.dumps([row["task"], row["person"], row["seed"], row["steps"]]).encode())
+    who = [row["task"], row["person"], row["seed"], row["steps"]]
+    if row["architecture"] == SCRIPTED:
+        who.append(vars(HABITS[choose("habit", row["habit"], HABITS)]))
+    found = hashlib.sha256(json.dumps(who).encode())
     for name, array in sorted(_flat(params).items()):
         found.update(f"{name} {array.dtype} {array.shape} ".encode())
         found.update(np.ascontiguousarray(array).tobytes())

@@ -1,0 +1,179 @@
+"""Splits of a population: who is there to train with, to develop with and to test with.
+
+A split is a JSON file of member ids, splits/KIND.json in the population's folder or anywhere else.
+"""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from assistax.errors import UsageError, choose
+from assistax.files import read_json, write_json
+from assistax.formats import SPLIT
+from assistax.human import disability, preference
+from assistax.training.population import Population
+
+Split = dict[str, list[str]]
+"""Ids by "train", "val" and "test"."""
+
+EXTREME = 5  # members of the paper's split: those with the highest weight on speed
+
+
+def random(population: Population, rng: np.random.Generator) -> Split:
+    """At random, 6 : 2 : 2."""
+    ids = sorted(population.ids)
+    rng.shuffle(ids)
+    return _shares(ids)
+
+
+def extreme(population: Population, rng: np.random.Generator) -> Split:
+    """The paper's: those with the highest weight on speed are there to train with (section "AHT pipeline").
+
+    Of the rest, a fifth to develop with.
+    """
+    weight = {row["id"]: _preference(row).weights[0] for row in population.rows}
+    ids = sorted(population.ids, key=lambda one: (-float(weight[one]), one))
+    number = min(EXTREME, max(1, len(ids) // 2))
+    train, rest = ids[:number], ids[number:]
+    rng.shuffle(rest)
+    return {"train": train, "val": rest[: len(rest) // 5], "test": rest[len(rest) // 5 :]}
+
+
+def interpolate(population: Population, rng: np.random.Generator) -> Split:
+    """Train with the strongest and the weakest bodies, test with those between them."""
+    ids = _by_hardship(population)
+    outer = len(ids) // 3
+    middle = ids[outer : len(ids) - outer]
+    rng.shuffle(middle)
+    return {"train": ids[:outer] + ids[len(ids) - outer :], "val": middle[: len(middle) // 4]} | {
+        "test": middle[len(middle) // 4 :]
+    }
+
+
+def extrapolate(population: Population, rng: np.random.Generator) -> Split:
+    """Train with the stronger bodies, test with the weakest third."""
+    ids = _by_hardship(population)
+    train, rest = ids[: 2 * len(ids) // 3], ids[2 * len(ids) // 3 :]
+    rng.shuffle(rest)
+    return {"train": train, "val": rest[: len(rest) // 4], "test": rest[len(rest) // 4 :]}
+
+
+def by_disability(population: Population, rng: np.random.Generator) -> Split:
+    """Whole disabilities are left out of training."""
+    return _groups(population, rng, lambda row: row["person"]["disability"], "disability")
+
+
+def by_preference(population: Population, rng: np.random.Generator) -> Split:
+    """Whole preferences are left out of training."""
+    return _groups(population, rng, lambda row: row["person"]["preference"], "preference")
+
+
+def by_algorithm(population: Population, rng: np.random.Generator) -> Split:
+    """Whole algorithms are left out of training; people with habits are one of them."""
+    return _groups(population, rng, lambda row: row["algorithm"], "algorithm")
+
+
+KINDS: dict[str, Callable[[Population, np.random.Generator], Split]] = {
+    "random": random,
+    "extreme": extreme,
+    "interpolate": interpolate,
+    "extrapolate": extrapolate,
+    "disability": by_disability,
+    "preference": by_preference,
+    "algorithm": by_algorithm,
+}
+
+
+def split(population: Population, kind: str = "random", seed: int = 0) -> Split:
+    """A split of a kind in KINDS; the same whatever the order of the members."""
+    return check(population, KINDS[choose("kind", kind, KINDS)](population, np.random.default_rng(seed)))
+
+
+def check(population: Population, parts: Split) -> Split:
+    """The split; raises UsageError if somebody is unknown or in two of its parts, or nobody is left for the test."""
+    everybody = [one for ids in parts.values() for one in ids]
+    if unknown := set(everybody) - set(population.ids):
+        raise UsageError(f"The split names {min(unknown)[:12]}, who is not in this population.")
+    if len(set(everybody)) < len(everybody):
+        twice = next(one for one in everybody if everybody.count(one) > 1)
+        raise UsageError(f"The split has {twice[:12]} in two of its parts.")
+    if not parts["test"] or not parts["train"]:
+        raise UsageError("A split needs members to train with and others to test with.")
+    return parts
+
+
+def path_of(folder: Path, kind: str) -> Path:
+    """Where a population keeps its split of this kind."""
+    return folder / "splits" / f"{kind}.json"
+
+
+def save(path: Path, parts: Split) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, parts)
+
+
+def load(path: Path, population: Population) -> Split:
+    return check(population, read_json(path, SPLIT))
+
+
+def named(text: str) -> tuple[Path, Population]:
+    """The folder and the members that "POP" or "POP:KIND/PART" names, for example "populations/scratch:random/test".
+
+    Raises UsageError where there is no such population, split or part.
+    """
+    folder, colon, part = text.rpartition(":") if ":" in text else (text, "", "")
+    population = Population.load(folder)
+    if not colon:
+        return Path(folder), population
+    kind, slash, part = part.partition("/")
+    path = path_of(Path(folder), kind)
+    if not slash or not path.is_file():
+        there = sorted(found.stem for found in path.parent.glob("*.json"))
+        raise UsageError(
+            f"Name a split and a part of it, for example {folder}:random/train, not {text!r}; {folder} has "
+            f"{'the splits ' + ', '.join(there) if there else 'no splits; make one with `assistax population split`'}."
+        )
+    parts = load(path, population)
+    ids = parts[choose("part", part, parts)]
+    if not ids:
+        raise UsageError(f"The part {part} of {path} is empty.")
+    return Path(folder), population.select(ids)
+
+
+def _shares(ids: list[str]) -> Split:
+    first, second = round(0.6 * len(ids)), round(0.8 * len(ids))
+    return {"train": ids[:first], "val": ids[first:second], "test": ids[second:]}
+
+
+def _preference(row) -> preference.Preference:
+    words = row["person"]["preference"]
+    if words == "none":
+        raise UsageError("These people have no preferences to split them by.")
+    return preference.parse(words)
+
+
+def _by_hardship(population: Population) -> list[str]:
+    """Ids from the strongest body to the weakest: by strength and motion that is left, then by tremor."""
+
+    def hardship(row):
+        body = disability.parse(row["person"]["disability"])
+        return float(body.tremor) - float(body.strength) - float(body.motion)
+
+    return sorted(population.ids, key=lambda one: (hardship(_row(population, one)), one))
+
+
+def _row(population: Population, one: str):
+    return next(row for row in population.rows if row["id"] == one)
+
+
+def _groups(population: Population, rng: np.random.Generator, of: Callable, what: str) -> Split:
+    """Whole groups to train with, 6 : 2 : 2 by their number, at least one to train and one to test with."""
+    groups = sorted({of(row) for row in population.rows})
+    if len(groups) < 2:
+        raise UsageError(f"All members have the same {what}; there is nothing to split them by.")
+    rng.shuffle(groups)
+    first = min(max(1, round(0.6 * len(groups))), len(groups) - 1)
+    second = min(max(first, round(0.8 * len(groups))), len(groups) - 1)
+    names = {"train": groups[:first], "val": groups[first:second], "test": groups[second:]}
+    return {part: sorted(row["id"] for row in population.rows if of(row) in some) for part, some in names.items()}

@@ -1,0 +1,86 @@
+"""People with habits: what each parameter does, against the scripted people that habits are made of."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import assistax
+from assistax import scenes
+from assistax.errors import UsageError
+from assistax.policies.habits import HABITS, Habit, Habits, person
+from assistax.policies.people import Reflex, offer
+
+
+@pytest.fixture(scope="module")
+def env():
+    return assistax.make("scratch-v1", engine="mujoco")
+
+
+@pytest.fixture(scope="module")
+def moment(env):
+    """A policy's act in one moment of an episode: by habit, control steps since its start and the tool's velocity."""
+    policy, offering, reflex = Habits(env), offer(env), Reflex(env, -1.0)
+    _, state = jax.jit(env.reset)(jax.random.key(4))
+    slices = scenes.sensor_slices(env.model)["tool_vel"]
+
+    @jax.jit
+    def act(params, steps, velocity):
+        sensordata = state.physics.sensordata.at[slices].set(velocity)
+        seen = dataclasses.replace(state, physics=dataclasses.replace(state.physics, sensordata=sensordata))
+        carry = policy.initial_carry() | {"steps": steps}
+        rest = seen, jnp.bool_(False), jax.random.key(1)
+        action, after = policy.act(params, carry, *rest)
+        return action, after["steps"], offering.act((), carry["offer"], *rest)[0], reflex.act((), (), *rest)[0]
+
+    def of(habit: Habit, seconds=1.0, speed=0.0):
+        params = {name: jnp.float32(value) for name, value in vars(habit).items()}
+        return act(params, jnp.int32(round(seconds / env.dt)), jnp.array([speed, 0.0, 0.0]))
+
+    return of
+
+
+def test_who_offers_and_who_withdraws_are_the_scripted_people(moment):
+    action, steps, offered, back = moment(HABITS["offers"])
+    np.testing.assert_allclose(action, offered, atol=1e-6)
+    assert steps == 126
+    np.testing.assert_allclose(moment(HABITS["withdraws"])[0], back, atol=1e-6)
+    assert not moment(HABITS["still"])[0].any()
+
+
+@pytest.mark.parametrize(
+    ("habit", "seconds", "active"),
+    [
+        ("hesitates", 1.4, False),
+        ("hesitates", 1.6, True),
+        ("rests", 1.4, True),
+        ("rests", 1.6, False),
+        ("rests", 2.3, True),
+    ],
+)
+def test_when_they_do_something(moment, habit, seconds, active):
+    follower = dataclasses.replace(HABITS[habit], offers=0.0, follows=1.0)  # always has something to do
+    assert moment(follower, seconds)[0].any() == active
+
+
+def test_the_shy_draw_back_from_a_fast_tool_that_is_near(moment):
+    near = dataclasses.replace(HABITS["shy"], near=9.0)
+    _, _, offered, back = moment(near)
+    np.testing.assert_allclose(moment(near, speed=0.3)[0], back, atol=1e-6)
+    np.testing.assert_allclose(moment(near, speed=0.2)[0], offered, atol=1e-6)
+    np.testing.assert_allclose(moment(dataclasses.replace(near, near=0.0), speed=0.3)[0], offered, atol=1e-6)
+
+
+def test_vigour_and_noise(moment):
+    follower = Habit(offers=0.0, follows=-1.0, vigour=0.2)
+    action, *_, back = moment(follower)
+    np.testing.assert_allclose(action, 0.2 * back, atol=1e-6)
+    noisy = moment(Habit(offers=0.0, noise=0.3))[0]
+    assert 0 < np.abs(noisy).max() <= 0.3
+
+
+def test_an_unknown_habit_is_one_line(env):
+    with pytest.raises(UsageError, match="habit"):
+        person(env, "nice")
