@@ -139,7 +139,10 @@ TASKS = {
         "a hook of two plates; the tool point is the middle of its opening",
         {
             "reach": Term("exp(−d²/σ)", lambda c, steps: steps),
-            "waist": Term("{c.waist_scale:g} · paid · (1 − tanh(d_H/σ))", lambda c, steps: steps * c.waist_scale * 1.0),
+            "waist": Term(
+                "{c.waist_scale:g} · paid · (1 − tanh(d_H/{c.waist_width:g} m))",
+                lambda c, steps: steps * c.waist_scale * 1.0,
+            ),
             "rotation": Term(
                 "{c.rotation_scale:g} · (2√2 − ‖R_hook − R_wrist‖_F)",
                 lambda c, steps: steps * c.rotation_scale * 2.0 * 2.0**0.5,

@@ -22,6 +22,7 @@ from assistax.tasks.rewards import norm, reach, rotation, waist
 @dataclass(frozen=True)
 class ArmAssistConfig:
     waist_scale: float = 10.0  # of the waist term
+    waist_width: float = 0.1  # m, from the waist, within which most of the waist term is paid
     rotation_scale: float = 0.1  # of the rotation term
     unsettled: float = 1.0  # of the waist term is paid at the waist while the forearm moves, or was thrown there
     # What counts as brought back, and for how long in all it must last to be a success.
@@ -77,7 +78,7 @@ class ArmAssist:
         paid = jnp.where(restless, c.unsettled, 1.0)
         return {
             "reach": reach(norm(s["wrist_target_pos"] - s["tool_pos"])),
-            "waist": c.waist_scale * paid * waist(norm(s["waist_target_pos"] - s["wrist_target_pos"])),
+            "waist": c.waist_scale * paid * waist(norm(s["waist_target_pos"] - s["wrist_target_pos"]), c.waist_width),
             "rotation": c.rotation_scale * rotation(self._rotation(s)),
         }
 
@@ -137,7 +138,7 @@ SPECS = (
         1,
         ArmAssist,
         limited(_SCENE, "forearm"),
-        ArmAssistConfig(unsettled=0.9, settled_speed=0.1, carrying_speed=0.5),
+        ArmAssistConfig(waist_width=0.3, unsettled=0.9, settled_speed=0.1, carrying_speed=0.5),
         expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
         bound=11280,
         preference_budget=4.512,
