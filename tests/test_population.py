@@ -13,10 +13,14 @@ from commands import assistax as assistax_command
 import assistax
 from assistax.errors import UsageError
 from assistax.evaluation import play
+from assistax.evaluation.playing import Evaluator, summarize
+from assistax.human import Person
 from assistax.learning.partners import Partners
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.policies import Player, scripted_policy
 from assistax.teamwork.gather import gather
+from assistax.teamwork.plan import Plan
+from assistax.teamwork.plan import train as train_plan
 from assistax.training import loop, splits
 from assistax.training.configuration import configure
 from assistax.training.partners import find_partner
@@ -259,8 +263,8 @@ def test_the_command_gathers_finished_runs(tmp_path, monkeypatch):
     assert loop.train(run)
     pop = tmp_path / "pop"
     assert "2 members of scratch-v1" in assistax_command("population", "make", pop, tmp_path / "run").stdout
-    listed = assistax_command("population", "list", pop).stdout
-    assert listed.count("tremor") == 2 and "seed 1" in listed and "safely" in listed
+    listed = assistax_command("population", "show", pop).stdout
+    assert listed.count("tremor") == 2 and "seed 1" in listed and "safely" in listed.splitlines()[0]
     assert "2 members of scratch-v1, all as they were saved" in assistax_command("population", "verify", pop).stdout
     own, stored = run.teams()[1]["human"], Population.load(pop).partner("human", deterministic=True)
     obs = jax.random.normal(jax.random.key(9), (run.env.observation_sizes["human"],))
@@ -297,3 +301,72 @@ def test_a_population_is_a_partner_by_name(teams, tmp_path, monkeypatch):
     (out / "partners/human/manifest.jsonl").write_text("")
     with pytest.raises(UsageError, match="has no members"):
         Run.open(out)
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory):
+    people = Person("none", "default"), Person("tremor", "default")
+    return Plan("scratch", people, steps=128, num_envs=8, settings=SMALL)
+
+
+@pytest.fixture(scope="module")
+def in_one_go(plan, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plans") / "one"
+    plan.save(folder)
+    return folder, train_plan(folder)
+
+
+def test_a_plan_in_shards_with_interruptions_is_the_plan_in_one_go(plan, in_one_go, tmp_path, monkeypatch):
+    _, whole = in_one_go
+    assert len(set(whole.ids)) == 2
+    folder = tmp_path / "pop"
+    plan.save(folder)
+    assert train_plan(folder, (2, 2)) is None  # the other shard has not begun
+    number = iter(range(100))
+    wait = loop._Training._rows
+
+    def interrupted(self, *args):
+        if next(number) == 0:
+            self.stop._first = 0.0  # as a signal does
+        return wait(self, *args)
+
+    monkeypatch.setattr(loop._Training, "_rows", interrupted)
+    made, tries = None, 0
+    while made is None:
+        made, tries = train_plan(folder, (1, 2)), tries + 1
+    assert tries > 1 and made.ids == whole.ids and made.hash == whole.hash
+    for mine, row in zip(made.rows, whole.rows, strict=True):
+        assert mine == row
+    assert Population.load(folder).ids == whole.ids
+    monkeypatch.setattr(loop, "train", None)  # nobody is trained again
+    assert train_plan(folder).ids == whole.ids
+
+
+def test_a_member_plays_as_in_its_run(in_one_go):
+    folder, population = in_one_go
+    run = Run.open(folder / "runs/0001-ippo-0")
+    assert population[1]["person"]["disability"] == "tremor"
+    one = population.select([population.ids[1]])
+    team = {agent: one.partner(agent, deterministic=True) for agent in ("robot", "human")}
+    report = summarize(Evaluator(run.env, 3)(team))
+    assert report["mean_return"] == pytest.approx(population[1]["mean_return"], rel=0.01)
+
+
+def test_another_plan_is_refused(plan, in_one_go, tmp_path):
+    folder, _ = in_one_go
+    plan.save(folder)
+    for other in (dataclasses.replace(plan, seeds=2), dataclasses.replace(plan, people=plan.people[:1])):
+        with pytest.raises(UsageError, match="by another plan"):
+            other.save(folder)
+    with pytest.raises(UsageError, match="Who the members are says --people"):
+        dataclasses.replace(plan, settings={"env.human.disability": "tremor"})
+    with pytest.raises(UsageError, match=r"has no plan\.json"):
+        train_plan(tmp_path)
+    for words in (
+        ("train", "scratch"),  # no --out
+        ("train", "--resume", folder, "--shard", "3/2"),
+        ("train",),
+        ("train", "--resume", folder, "--processes", "1000"),
+    ):
+        with pytest.raises(SystemExit):
+            assistax_command("population", *words)

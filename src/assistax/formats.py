@@ -63,6 +63,15 @@ MEMBER: Schema = {  # a row of a population's manifest.jsonl
     "success_rate?": float,
     "safe_success_rate?": float,
 }
+PLAN: Schema = {  # of a population, see teamwork/plan.py
+    "task": str,
+    "people": [_PERSON],
+    "algorithms": [str],
+    "seeds": range(1, 10**6),
+    "steps": (STEPS, None),
+    "num_envs": (COUNT, None),
+    "settings": {str: object},
+}
 SPLIT: Schema = {"train": [str], "val": [str], "test": [str]}
 EXPERTS: Schema = [{"task": str, "policy": str, "human": _PERSON, "mean_return": float}]
 PEOPLE: Schema = [_PERSON]

@@ -7,6 +7,7 @@ from typing import Any
 
 import tyro
 
+from assistax.cli import population
 from assistax.cli.bench import bench
 from assistax.cli.crossplay import crossplay
 from assistax.cli.doctor import doctor
@@ -15,7 +16,6 @@ from assistax.cli.export import export
 from assistax.cli.humans import humans
 from assistax.cli.play import play
 from assistax.cli.plot import plot
-from assistax.cli.population import population
 from assistax.cli.render import render
 from assistax.cli.reproduce import reproduce
 from assistax.cli.settings import settings
@@ -28,13 +28,18 @@ from assistax.errors import AssistaxError
 DESCRIPTION = "A robot arm and a person, both with policies of their own: train, evaluate, watch."
 COMMANDS = (
     *(train, sweep, play, evaluate, crossplay, render, table, plot),
-    *(export, population, reproduce, tasks, settings, humans, doctor, bench),
+    *(export, reproduce, tasks, settings, humans, doctor, bench),
 )
+# Commands of several words, with their own overview.
+GROUPS: dict[str, tuple[str, dict[str, Any]]] = {
+    "population": ("Train, gather, split and look at populations of partners.", population.COMMANDS),
+}
 
 
 def overview() -> str:
     """What `assistax --help` prints: a line for each command."""
     lines = [f"  {command.__name__:11} {(command.__doc__ or '').partition(chr(10))[0]}" for command in COMMANDS]
+    lines += [f"  {name:11} {what}" for name, (what, _) in GROUPS.items()]
     return "\n".join(
         ["usage: assistax COMMAND ...", "", DESCRIPTION, "", *lines, "", "assistax COMMAND --help explains."]
     )
@@ -43,6 +48,7 @@ def overview() -> str:
 def main() -> None:
     """Entry point of the `assistax` command."""
     commands: dict[str, Any] = {command.__name__: command for command in COMMANDS}
+    group = sys.argv[1] if sys.argv[1:2] and sys.argv[1] in GROUPS else None
     if sys.argv[1:] in ([], ["-h"], ["--help"]):
         print(overview())
         return
@@ -56,9 +62,10 @@ def main() -> None:
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
     try:
         tyro.extras.subcommand_cli_from_dict(
-            commands,
-            prog="assistax",
-            description=DESCRIPTION,
+            GROUPS[group][1] if group else commands,
+            prog=f"assistax {group}" if group else "assistax",
+            description=GROUPS[group][0] if group else DESCRIPTION,
+            args=sys.argv[2:] if group else sys.argv[1:],
             config=(tyro.conf.FlagCreatePairsOff,),
         )
     except AssistaxError as error:

@@ -1,83 +1,181 @@
-"""`assistax population`."""
+"""`assistax population ...`: partners as data."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import tyro
 
-from assistax.cli.common import File, Number
+from assistax.cli.common import File, Name, Number, Set
 from assistax.errors import UsageError
 
+Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POP")]
+Others = Annotated[tuple[Path, ...], tyro.conf.Positional]
 
-def population(
-    action: Annotated[Literal["make", "list", "verify", "split", "merge"], tyro.conf.Positional],
-    folder: Annotated[Path, tyro.conf.Positional],
-    parts: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN|POP ...")] = (),
+
+def train(
+    task: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="TASK", help_behavior_hint="")] = None,
     *,
-    habits: bool = False,
-    kind: str = "random",
     out: File = None,
-    seed: Number = None,
+    people: str = "8x3",
+    algorithm: str = "ippo",
+    steps: Number = None,
+    seeds: Number = None,
+    num_envs: Number = None,
+    set: Set = (),
+    resume: File = None,
+    processes: Number = None,
+    shard: Name = None,
 ) -> None:
-    """Gather trained teams into a population of partners, a folder of data, and look at it.
+    """Train a population: a team for each person, algorithm and seed.
+
+    Stops and goes on at any moment; what is finished never runs again.
+
+    For example:
+      assistax population train scratch --out populations/scratch --steps 5e6 --seeds 2 --processes 2
+      assistax population train --resume populations/scratch
+      assistax population train --resume populations/scratch --shard 1/4
+
+    Args:
+      task: what to do together.
+      out: folder of the population.
+      people: who: 8x3 (healthy and the seven standard disabilities, by three preferences), 8 (without preferences),
+        paper630, or a JSON file as for env.human.people.
+      algorithm: one, or several with commas: ippo,mappo,masac.
+      steps: of each training (default 5 million).
+      seeds: of each person and algorithm (default 1).
+      num_envs: environments side by side, of each training (default as in `assistax train`).
+      set: change any setting of all trainings, for example ppo.gamma=0.98.
+      resume: continue this population.
+      processes: so many trainings side by side, each on cores of its own (default 1).
+      shard: i/n trains the i-th of n equal parts, for several machines that share a folder.
+    """
+    from assistax.files import writing
+    from assistax.human import variety
+    from assistax.settings import parse_assignments
+    from assistax.teamwork import plan
+
+    if (task is None) == (resume is None):
+        raise UsageError("Name a task and --out to begin a population, or --resume POP to continue one.")
+    if processes is not None and shard is not None:
+        raise UsageError("--processes makes the shards itself; leave out --shard.")
+    part = _shard(shard)
+    if task is not None:
+        if out is None:
+            raise UsageError("Say where the population goes: --out populations/NAME.")
+        sizes = seeds or 1, steps, num_envs
+        wanted = plan.Plan(task, variety.people(people), tuple(algorithm.split(",")), *sizes, parse_assignments(set))
+        with writing(out):
+            wanted.save(out)
+    folder = Path(out or resume or "")
+    with writing(folder):
+        made = plan.train_side_by_side(folder, processes) if processes and processes > 1 else plan.train(folder, part)
+    if made is None:
+        print(f"Not all members are finished yet. Continue with: assistax population train --resume {folder}")
+    else:
+        print(f"{len(made)} members of {made.task} in {folder}")
+
+
+def make(folder: Folder, runs: Others, *, habits: bool = False) -> None:
+    """Gather finished runs, each trained with one person, into a population; every seed is a member.
 
     For example:
       assistax train scratch --set env.human.disability=tremor --out runs/tremor
       assistax train scratch --set env.human.disability=weakness --out runs/weak
       assistax population make populations/two runs/tremor runs/weak
-      assistax population list populations/two
-      assistax population verify populations/two
-      assistax population split populations/two --kind disability
-      assistax population merge populations/all populations/two populations/more
 
     Args:
-      action: make, of finished runs; merge populations; list its members; verify that all of them are as they were
-        saved; or split them into people to train with, to develop with and to test with.
-      folder: of the population.
-      parts: run folders, each trained with one person, of which every seed becomes a member; with merge, populations.
-      habits: with make, add the scripted people, see docs/populations.md; they have the first run's person's body and
-        preferences.
-      kind: of the split: random (6 : 2 : 2), extreme (the paper's: train with the five who weigh speed most),
-        interpolate or extrapolate (by how hard moving is), disability, preference or algorithm (whole groups are left
-        out of training).
-      out: where the split goes, a .json (default: into the population, for --partner human=POP:KIND/train).
-      seed: of the split (default 0).
+      folder: of the new population.
+      runs: run folders.
+      habits: add the scripted people, see docs/populations.md, with the first run's person's body and preferences.
     """
     from assistax.teamwork.gather import gather
-    from assistax.training import splits
     from assistax.training.population import Population
     from assistax.training.run import Run
 
-    if parts and action not in ("make", "merge"):
-        raise UsageError(f"Runs are for `population make`; leave out {parts[0]}.")
-    if action in ("make", "merge"):
-        if not parts:
-            raise UsageError("Name the runs (or populations to merge) whose members it is to have, after its folder.")
-        if action == "make":
-            made = gather(Run.open(run) for run in parts)
-        else:
-            made = Population.merge([Population.load(part) for part in parts])
-        if habits:
-            made = Population.merge([made, Population.scripted(made.task, made.people[0])])
-        made.save(folder)
-        print(f"{len(made)} members of {made.task} in {folder}")
-        return
+    if not runs:
+        raise UsageError("Name the runs whose teams are to be members, after the population's folder.")
+    made = gather(Run.open(run) for run in runs)
+    if habits:
+        made = Population.merge([made, Population.scripted(made.task, made.people[0])])
+    made.save(folder)
+    print(f"{len(made)} members of {made.task} in {folder}")
+
+
+def merge(folder: Folder, populations: Others) -> None:
+    """Put populations of one task together; who is in two of them is in it once.
+
+    Args:
+      folder: of the new population.
+      populations: to merge.
+    """
+    from assistax.training.population import Population
+
+    if not populations:
+        raise UsageError("Name the populations to merge, after the folder of the new one.")
+    made = Population.merge([Population.load(one) for one in populations])
+    made.save(folder)
+    print(f"{len(made)} members of {made.task} in {folder}")
+
+
+def show(folder: Folder) -> None:
+    """List the members of a population: who they are, how they were trained, what they reach.
+
+    Args:
+      folder: of the population.
+    """
+    from assistax.cli.common import aligned
+    from assistax.training.population import Population
+
+    rows = []
+    for row in Population.load(folder).rows:
+        who, how = row["person"], row.get("habit") or f"{row['algorithm']}, seed {row['seed']}"
+        cells = [row["id"][:12], who["disability"], who["preference"], how, f"{row['steps'] / 1e6:.1f} M"]
+        cells += [f"{row['mean_return']:.0f}" if "mean_return" in row else ""]
+        cells += [f"{row[name]:.0%}" if name in row else "" for name in ("success_rate", "safe_success_rate")]
+        rows.append(cells)
+    print(aligned(["id", "disability", "preference", "how", "steps", "return", "success", "safely"], rows))
+
+
+def verify(folder: Folder) -> None:
+    """Check that all members of a population are as they were saved.
+
+    Args:
+      folder: of the population.
+    """
+    from assistax.training.population import Population
+
     found = Population.load(folder)
-    if action == "list":
-        for row in found.rows:
-            who, how = row["person"], f"{row['algorithm']}, seed {row['seed']}, {row['steps'] / 1e6:.1f} M steps"
-            if "habit" in row:
-                how = row["habit"]
-            reached = (
-                f"return {row['mean_return']:.0f}, success {row['success_rate']:.0%}" if "mean_return" in row else ""
-            )
-            if "safe_success_rate" in row:
-                reached += f", safely {row['safe_success_rate']:.0%}"
-            print(f"{row['id'][:12]}  {who['disability']:24} {who['preference']:10} {how:32} {reached}")
-    elif action == "verify":
-        print(f"{len(found)} members of {found.task}, all as they were saved")
-    else:
-        parts_of_it = splits.split(found, kind, seed or 0)
-        path = out or splits.path_of(folder, kind)
-        splits.save(path, parts_of_it)
-        print(", ".join(f"{len(ids)} to {name}" for name, ids in parts_of_it.items()) + f", in {path}")
+    print(f"{len(found)} members of {found.task}, all as they were saved")
+
+
+def split(folder: Folder, *, kind: str = "random", out: File = None, seed: Number = None) -> None:
+    """Split a population into members to train with, to develop with and to test with.
+
+    For example:
+      assistax population split populations/scratch --kind disability
+      assistax train scratch --partner human=populations/scratch:disability/train
+
+    Args:
+      folder: of the population.
+      kind: random (6 : 2 : 2), extreme (the paper's: train with the five who weigh speed most), interpolate or
+        extrapolate (by how hard moving is), disability, preference or algorithm (whole groups left out of training).
+      out: where the split goes, a .json (default: into the population).
+      seed: of what is drawn (default 0).
+    """
+    from assistax.training import splits
+    from assistax.training.population import Population
+
+    parts = splits.split(Population.load(folder), kind, seed or 0)
+    path = out or splits.path_of(folder, kind)
+    splits.save(path, parts)
+    print(", ".join(f"{len(ids)} to {name}" for name, ids in parts.items()) + f", in {path}")
+
+
+def _shard(text: str | None) -> tuple[int, int]:
+    first, _, number = (text or "1/1").partition("/")
+    if not (first.isdigit() and number.isdigit() and 1 <= int(first) <= int(number)):
+        raise UsageError(f"--shard is I/N with I from 1 to N, for example 2/4, not {text!r}.")
+    return int(first), int(number)
+
+
+COMMANDS = {"train": train, "make": make, "merge": merge, "show": show, "verify": verify, "split": split}

@@ -4,7 +4,7 @@ import json
 import math
 import sys
 import time
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -34,10 +34,13 @@ _COMPILING = "Compiling, which takes some ten seconds."
 _FREE = {"steps", "evaluations", "evaluation_episodes", "deterministic", "engine", "env.num_threads", "partners"}
 
 
-def train(run: Run, seconds: float = math.inf, log: Sequence[str] = ()) -> dict[str, Any] | None:
+def train(
+    run: Run, seconds: float = math.inf, log: Sequence[str] = (), bar: Callable = progress_bar, pictures: bool = True
+) -> dict[str, Any] | None:
     """Train from the newest checkpoint, if there is one, to the end: the summary.
 
-    `log` names loggers.LOGGERS that are told of it, too.
+    `log` names loggers.LOGGERS that are told of it, too; `bar(total, done)` makes the progress bar; `pictures` are
+    learning curve and film.
 
     None if it had to stop and save before, because of Ctrl-C or another signal, or because `seconds` have passed.
 
@@ -48,14 +51,14 @@ def train(run: Run, seconds: float = math.inf, log: Sequence[str] = ()) -> dict[
     if not (run.folder / "checkpoints").is_dir():
         raise UsageError(f"{run.folder} is a result without checkpoints, which cannot go on; train anew with --out.")
     with locked(run.folder):
-        return _Training(run, Stop(seconds), log).go()
+        return _Training(run, Stop(seconds), log, bar, pictures).go()
 
 
 class _Training:
     """One process's work on a run."""
 
-    def __init__(self, run: Run, stop: Stop, log: Sequence[str] = ()):
-        self.run, self.stop, self.log = run, stop, log
+    def __init__(self, run: Run, stop: Stop, log: Sequence[str], bar: Callable, pictures: bool):
+        self.run, self.stop, self.log, self.bar, self.pictures = run, stop, log, bar, pictures
         self.trainer, self.seeds, self.engine = run.trainer, run.seeds, run.env.engine
         self.evaluator = Evaluator(run.env, run.config.evaluation_episodes)
         self.told = Told((), run.folder, self.seeds.seeds, 0, {})  # nobody yet
@@ -77,7 +80,7 @@ class _Training:
         with (
             Journal(run.folder, "metrics") as self.metrics,
             Journal(run.folder, "evaluations") as self.evaluations,
-            progress_bar(total, done * total // run.iterations) as bar,
+            self.bar(total, done * total // run.iterations) as bar,
         ):
             if done == 0:
                 self._save(state, done)  # before any row, so that a run that has rows can always go on
@@ -219,7 +222,7 @@ class _Training:
     def _finish(self) -> dict[str, Any] | None:
         """Write summary, curve and film of a finished run; returns the summary, None if a signal kept it from that."""
         run, config = self.run, self.run.config
-        print("Evaluating and filming.", file=sys.stderr)  # in software, 200 frames take their time
+        print(f"Evaluating{' and filming' * self.pictures}.", file=sys.stderr)  # 200 frames take their time
         journal.keep(run.folder, "evaluations", (run.iterations - 1) * run.steps_per_iteration)  # the last is made anew
         with Journal(run.folder, "evaluations") as self.evaluations:
             results = self._evaluate(run.iterations, run.teams())
@@ -248,6 +251,8 @@ class _Training:
         if gaps := {name: count for name, count in self._missing(run.iterations).items() if count}:
             summary["missing_rows"] = gaps
         write_json(run.folder / "summary.json", summary)
+        if not self.pictures:
+            return summary
         title = f"{config.task}, {config.algorithm} ({config.preset} preset), {steps / 1e6:.1f} M steps"
         learning_curve(journal.read(run.folder, "metrics"), title, run.folder / "learning_curve.png")
         try:

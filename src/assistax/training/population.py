@@ -147,11 +147,12 @@ class Population:
         stacked = {name: jax.tree.map(lambda *xs: np.stack(xs), *some) for name, some in weights.items()}
         return cls(tuple(rows.values()), policies, stacked)
 
-    def save(self, folder: Path | str) -> None:
-        """Write the population into a folder of its own, the manifest last."""
+    def save(self, folder: Path | str, beside: Sequence[str] = ()) -> None:
+        """Write the population into a folder of its own, the manifest last; `beside` may be there already."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
+        ours = {*beside, *(f"weights-{name}.safetensors" for name in self.weights if beside)}
+        if any(path.name not in ours for path in folder.iterdir()):
             raise UsageError(f"{folder} is not empty; a population is written into a folder of its own.")
         for name, weights in self.weights.items():
             kind, policy = _describe(self.policies[name])
