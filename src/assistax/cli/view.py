@@ -38,27 +38,61 @@ def view(
       html: instead, write one episode into this file, a page that plays it without a server.
       native: instead, open MuJoCo's own window, on this machine's display.
     """
-    from assistax.errors import UsageError, choose
-    from assistax.evaluation.playing import EVALUATION_SEED
-    from assistax.policies import SCRIPTED, scripted_team
-    from assistax.tasks import is_task
+    from assistax.errors import UsageError
     from assistax.viewer import needs
 
     if html is not None and native:
         raise UsageError("Choose one of --html and --native.")
-    needs.check_display() if native else needs.check_extra()
-    if html is not None:
-        needs.check_page(html)
-    elif not native:
-        needs.check_port(host, port)
+    if native:
+        needs.check_display()
+    else:
+        needs.check_extra()
+        needs.check_port(host, port) if html is None else needs.check_page(html)
+    from assistax.evaluation.playing import EVALUATION_SEED
+
+    casting, teams = castings(target, policy, engine, set)
     seed = EVALUATION_SEED if seed is None else seed
-    own = ["trained"] if is_task(target) else []
-    first = policy or (own[0] if own else None)
-    if first is not None:
-        choose("policy", first, [*own, *SCRIPTED])
+    if html is not None:
+        from assistax.viewer.page import page
 
-    def casting(choice):
-        """A scripted team plays in the environment of the one that was asked for."""
-        ...
+        page(*casting(teams[0], ()), seed, html)
+        print(f"wrote {html}")
+        return
+    print(f"Preparing {target}; this compiles for some seconds.", file=sys.stderr)
+    if native:
+        from assistax.viewer.native import show
 
-    raise NotImplementedError
+        show(*casting(teams[0], ()), seed)
+        return
+    from assistax.viewer.browser import Browser
+
+    with Browser(casting, teams, seed, host, port) as browser:
+        print(f"Open {browser.url} in a browser; stop with Ctrl-C.", flush=True)
+        browser.run()
+
+
+def castings(target: str, policy: str | None, engine: str | None, given: tuple[str, ...]):
+    """(a function of a team's name and more settings that makes environment and team, the names to choose from).
+
+    The first name is what was asked for.
+    """
+    from assistax.policies import SCRIPTED, scripted_team
+    from assistax.tasks import is_task
+
+    if policy is not None or is_task(target):
+        names = list(dict.fromkeys([policy or "trained", "trained", *SCRIPTED]))
+
+        def of_task(name, settings):
+            env, teams, _ = teams_of(target, name, engine, (*given, *settings))
+            return env, teams[0]
+
+        return of_task, names
+
+    _, teams, _ = teams_of(target, None, engine, given)
+    own = [f"seed {i}" if len(teams) > 1 else "its own" for i in range(len(teams))]
+
+    def of_run(name, settings):
+        env, teams, _ = teams_of(target, None, engine, (*given, *settings))
+        return env, scripted_team(name, env) if name in SCRIPTED else teams[own.index(name)]
+
+    return of_run, [*own, *SCRIPTED]

@@ -4,9 +4,9 @@ import queue
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import ExitStack
 
 import numpy as np
-import viser
 
 from assistax.env import Env
 from assistax.errors import AssistaxError
@@ -15,14 +15,15 @@ from assistax.viewer.live import Live
 from assistax.viewer.needs import check_port
 from assistax.viewer.panel import Choice, Panel
 from assistax.viewer.push import Hand, held_by
-from assistax.viewer.scene import Scene
+from assistax.viewer.scene import Scene, serving
 
 FRAMES = 30  # per second
 LATEST = 0.1  # s of wall time: what cannot be caught up with is left out, and the simulation runs slower
 REST = 1.5  # s after the end of an episode
 
-Casting = Callable[[Choice], tuple[Env, Team]]
-"""Makes the environment and the team of a choice; raises AssistaxError for what does not fit."""
+Casting = Callable[[str, tuple[str, ...]], tuple[Env, Team]]
+"""Makes environment and team of a team's name and settings like "env.human.disability=tremor"; raises AssistaxError for
+what does not fit."""
 
 
 class Browser:
@@ -41,13 +42,14 @@ class Browser:
     def __init__(self, casting: Casting, teams: list[str], seed: int, host: str = "127.0.0.1", port: int = 8080):
         check_port(host, port)
         self._casting, self.chosen = casting, Choice(teams[0])
-        self.live = Live(*casting(self.chosen), seed)
+        self.live = Live(*casting(teams[0], ()), seed)
         self.speed, self.playing, self._due, self._rest = 1.0, True, 0.0, 0.0
         self.hand: Hand | None = None
         self._wishes: queue.SimpleQueue[tuple] = queue.SimpleQueue()
         self._shown: deque[tuple[float, int]] = deque(maxlen=FRAMES)  # when, and after how many control steps
         self._steps = 0  # control steps, of all episodes
-        self.server = viser.ViserServer(host=host, port=port, label="Assistax", verbose=False)
+        self._exit = ExitStack()
+        self.server = self._exit.enter_context(serving(host, port))
         self.url = f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{port}"
         self.panel = Panel(self.server, teams, self.wish)
         self._build()
@@ -61,7 +63,7 @@ class Browser:
 
     def close(self) -> None:
         """Stop serving."""
-        self.server.stop()
+        self._exit.close()
 
     def run(self) -> None:
         """Play until interrupted."""
@@ -122,7 +124,7 @@ class Browser:
             return
         self._notify("One moment", "This team and person are being prepared.", loading=True)
         try:
-            live = Live(*self._casting(choice), self.live.seed)
+            live = Live(*self._casting(choice.team, choice.settings()), self.live.seed)
         except AssistaxError as error:
             self.panel.choice = self.chosen
             self._notify("That does not fit", str(error))
@@ -161,7 +163,7 @@ class Browser:
         self._due %= 1.0
 
     def _advance(self, steps: int) -> None:
-        push, before = self.hand and self.hand.push(self.live.moment.qpos[0]), self.live.steps
+        push, before = None if self.hand is None else self.hand.push(self.live.moment.qpos[0]), self.live.steps
         try:
             self.live.advance(steps, push)
         except AssistaxError as error:
@@ -170,7 +172,7 @@ class Browser:
 
     def _show(self, now: float) -> None:
         moment = self.live.moment
-        held = self.hand and (self.hand.pull(moment.qpos[0])[0], self.hand.target)
+        held = None if self.hand is None else (self.hand.pull(moment.qpos[0])[0], self.hand.target)
         self.scene.show(moment, 0, held)
         self._shown.append((now, self._steps))
         (first, steps), frames = self._shown[0], len(self._shown) - 1

@@ -110,4 +110,6 @@ def _pushed(turn: turns.Turn, push) -> turns.Turn:
     physics = turn.state.physics
     overrides = {name: x for name, x in physics.overrides.items() if name != PUSH}
     overrides |= {} if push is None else {PUSH: push}
-    return turn._replace(state=dataclasses.replace(turn.state, physics=dataclasses.replace(physics, overrides=overrides)))
+    return turn._replace(
+        state=dataclasses.replace(turn.state, physics=dataclasses.replace(physics, overrides=overrides))
+    )

@@ -1,7 +1,10 @@
 """What a viewer needs of the machine, each in one line where it is missing."""
 
+import os
 import socket
+import sys
 from importlib.util import find_spec
+from pathlib import Path
 
 from assistax.errors import UsageError
 
@@ -24,3 +27,17 @@ def check_port(host: str, port: int) -> None:
             raise UsageError(
                 f"Cannot serve on {host}, port {port} ({error.strerror or error}); take another one with --port."
             ) from None
+
+
+def check_page(path: Path) -> None:
+    """Raise UsageError unless a page can be written there."""
+    if path.suffix != ".html":
+        raise UsageError(f"--html writes a file named *.html, not {path.name!r}.")
+    if not path.parent.is_dir():
+        raise UsageError(f"The folder {path.parent} of --html does not exist.")
+
+
+def check_display() -> None:
+    """Raise UsageError where no window can be opened."""
+    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        raise UsageError("There is no display for a window here; leave out --native to watch in a browser.")

@@ -15,6 +15,8 @@ PREFERENCE = (AS_GIVEN, "none", "default", "sweep")
 SPEEDS = ("1/8", "1/4", "1/2", "1", "2", "4")
 TABLE = '<table style="width:100%;font-size:0.8em;margin:0.4em 0">'
 CELL = "<td style='text-align:right;font-variant-numeric:tabular-nums'>"
+HEAD = [("", "this step", "so far")]
+SMALL = "margin:0 1em;font-size:0.8em"
 BAND = "background:#12151c;border-radius:4px;padding:0.4em 0.6em;margin:0 1em;font-size:0.85em;line-height:1.5"
 
 
@@ -50,14 +52,14 @@ class Panel:
         self._pause.on_click(lambda _: wish("pause"))
         moves = gui.add_button_group("Move on", ("step", "again", "next episode"), hint="A step is 8 ms, and pauses.")
         moves.on_click(lambda _: wish({"step": "step", "again": "again", "next episode": "next"}[moves.value]))
-        speed = gui.add_dropdown("Speed", SPEEDS, "1", hint="1 is real time.")
+        speed = gui.add_dropdown("Speed", SPEEDS, initial_value="1", hint="1 is real time.")
         speed.on_update(lambda _: wish("set_speed", _number(speed.value)))
         views = gui.add_button_group("Camera", ("close", "main"), hint="Back to where it began, or the whole scene.")
         views.on_click(lambda event: wish("look", views.value, event.client_id))
         with gui.add_folder("Who plays"):
-            self._team = gui.add_dropdown("Team", teams, teams[0])
-            self._disability = gui.add_dropdown("Disability", DISABILITY, AS_GIVEN)
-            self._preference = gui.add_dropdown("Preference", PREFERENCE, AS_GIVEN)
+            self._team = gui.add_dropdown("Team", teams, initial_value=teams[0])
+            self._disability = gui.add_dropdown("Disability", DISABILITY, initial_value=AS_GIVEN)
+            self._preference = gui.add_dropdown("Preference", PREFERENCE, initial_value=AS_GIVEN)
             for choice in (self._team, self._disability, self._preference):
                 choice.on_update(lambda event: wish("cast", self.choice) if event.client_id is not None else None)
         with gui.add_folder("Reward"):
@@ -86,11 +88,11 @@ class Panel:
         self._told.content = f'<div style="{BAND}">{told(filmed, len(filmed.qpos) - 1)}</div>'
         total = [sum(column) for column in zip(*terms.values(), strict=True)]
         rows = [(name.replace("_", " "), *values) for name, values in terms.items()] + [("all", *total)]
-        cells = "".join(f"<tr><td>{name}</td>{CELL}{now:.3f}</td>{CELL}{so_far:.1f}</td></tr>" for name, now, so_far in rows)
-        head = f"<tr><td></td>{CELL}this step</td>{CELL}so far</td></tr>"
-        self._terms.content = f"{TABLE}{head}{cells}</table>"
+        rows = [(name, f"{now:.3f}", f"{so_far:.1f}") for name, now, so_far in rows]
+        cells = [f"<tr><td>{name}</td>{CELL}{now}</td>{CELL}{so_far}</td></tr>" for name, now, so_far in HEAD + rows]
+        self._terms.content = f"{TABLE}{''.join(cells)}</table>"
         ended = "the episode is over; " if over else ""
-        self._rates.content = f'<p style="margin:0 1em;font-size:0.8em">{ended}{frames:.0f} frames/s, {rate:.2f} × real time</p>'
+        self._rates.content = f'<p style="{SMALL}">{ended}{frames:.0f} frames/s, {rate:.2f} × real time</p>'
 
     def paused(self, paused: bool) -> None:
         """What the button says."""

@@ -1,6 +1,8 @@
 """A task's scene in the browser: bodies, target, spots of the skin, the force on the person and the viewer's pull."""
 
-from collections.abc import Iterator
+import io
+from collections.abc import Generator, Iterator
+from contextlib import contextmanager, redirect_stdout
 from typing import Any
 
 import mujoco
@@ -18,6 +20,18 @@ from assistax.evaluation.stage import THICK, Stage, lying_on
 PULL = (90, 150, 255)  # colour of the arrow
 THIN = {"shaft_radius": 0.006, "head_radius": 0.016, "head_length": 0.035}  # m
 NOWHERE = np.zeros((1, 2, 3), np.float32)
+
+
+@contextmanager
+def serving(host: str, port: int) -> Generator[viser.ViserServer]:
+    """A web server with an empty scene, and no words of its own on the terminal; any free port for 0."""
+    with redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=host, port=port, label="Assistax", verbose=False)
+    try:
+        yield server
+    finally:
+        with redirect_stdout(io.StringIO()):
+            server.stop()
 
 
 class Scene:
@@ -40,11 +54,11 @@ class Scene:
         self._pull = add.add_arrows("/pull", NOWHERE, PULL, visible=False, **THIN)
         discs = overlay.discs(self.stage, first, 0, self.spots)
         ball = trimesh.creation.icosphere(2)
-        blank = {"batched_wxyzs": np.tile([1.0, 0, 0, 0], (len(discs), 1)), "batched_positions": np.zeros((len(discs), 3))}
-        blank |= {"batched_scales": np.ones((len(discs), 3)), "batched_colors": np.zeros((len(discs), 3), np.uint8)}
-        blank["batched_opacities"] = np.ones(len(discs))
-        args = {"lod": "off", "cast_shadow": False} | blank
-        self._discs = add.add_batched_meshes_simple("/discs", ball.vertices, ball.faces, **args) if discs else None
+        n = len(discs)
+        blank: dict[str, Any] = {"batched_scales": np.ones((n, 3)), "batched_opacities": np.ones(n), "lod": "off"}
+        blank |= {"batched_colors": np.zeros((n, 3), np.uint8), "cast_shadow": False}
+        places = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), np.zeros((n, 3))
+        self._discs = n and add.add_batched_meshes_simple("/discs", ball.vertices, ball.faces, *places, **blank)
         self.show(first, 0)
 
     def show(self, filmed: Filmed, i: int, pull: tuple[np.ndarray, np.ndarray] | None = None) -> None:
@@ -90,7 +104,7 @@ class Scene:
         camera.position, camera.look_at, camera.fov = eye.copy(), centre.copy(), np.radians(45.0)
 
     def _show_discs(self, discs) -> None:
-        if self._discs is None:
+        if not self._discs:
             return
         places, normals, colours, radii = (np.array(part) for part in zip(*discs, strict=True))
         axes = np.stack([lying_on(normal) for normal in normals])
