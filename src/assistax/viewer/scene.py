@@ -58,7 +58,7 @@ class Scene:
         blank: dict[str, Any] = {"batched_scales": np.ones((n, 3)), "batched_opacities": np.ones(n), "lod": "off"}
         blank |= {"batched_colors": np.zeros((n, 3), np.uint8), "cast_shadow": False}
         places = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1)), np.zeros((n, 3))
-        self._discs = n and add.add_batched_meshes_simple("/discs", ball.vertices, ball.faces, *places, **blank)
+        self._discs: Any = n and add.add_batched_meshes_simple("/discs", ball.vertices, ball.faces, *places, **blank)
         self.show(first, 0)
 
     def show(self, filmed: Filmed, i: int, pull: tuple[np.ndarray, np.ndarray] | None = None) -> None:
