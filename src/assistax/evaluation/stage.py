@@ -29,6 +29,12 @@ class Stage:
         self.at_mouth = bool(np.linalg.norm(marker - self.data.site("mouth").xpos) < 1e-3)
         self.model.geom("target").rgba[3] = not self.at_mouth  # it would hide the lips
 
+    def aim(self, view: str) -> tuple[np.ndarray, np.ndarray]:
+        """From where [3] m a camera of the scene looks, and the point [3] m of its axis nearest to the target."""
+        camera = self.data.cam(view)
+        eye, forward = camera.xpos, -camera.xmat.reshape(3, 3)[:, 2]
+        return eye, eye + forward * max(float((self.data.mocap_pos[0] - eye) @ forward), 0.3)
+
 
 def lying_on(normal: np.ndarray) -> np.ndarray:
     """The axes [3, 3], as columns, of a disc on the skin where this unit vector [3] points out of it."""

@@ -16,22 +16,24 @@ from assistax.viewer.push import held_by
 
 FRAMES = 30  # per second
 REST = 1.5  # s after the end of an episode
+NO_PANELS = {"show_left_ui": False, "show_right_ui": False}
 WIDTH = 0.012  # m, of the arrow
 
 
 def show(env: Env, team: Team, seed: int) -> None:
     """Play episodes in a window until it is closed; space pauses, and bodies can be pushed as MuJoCo has it."""
     live, stage, playing = Live(env, team, seed), Stage(env.name), [True]
+    stage.pose(live.moment.qpos[0], live.moment.marker[0])
 
     def pressed(key):
         playing[0] ^= key == ord(" ")
 
     try:
-        window = mujoco.viewer.launch_passive(stage.model, stage.data, key_callback=pressed, show_left_ui=False)
+        window = mujoco.viewer.launch_passive(stage.model, stage.data, key_callback=pressed, **NO_PANELS)
     except (RuntimeError, mujoco.FatalError) as error:  # no OpenGL, or on macOS a process that is not mjpython
         raise UsageError(f"Cannot open a window here ({error}); leave out --native to watch in a browser.") from None
     with window:
-        window.cam.type, window.cam.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, stage.model.cam("close").id
+        _look(window.cam, *stage.aim("close"))
         due, then, ended = 0.0, time.perf_counter(), 0.0
         while window.is_running():
             now = time.perf_counter()
@@ -50,6 +52,13 @@ def show(env: Env, team: Team, seed: int) -> None:
             window.set_texts((None, mujoco.mjtGridPos.mjGRID_BOTTOMLEFT, "\n".join(words), ""))
             window.sync()
             time.sleep(max(0.0, now + 1 / FRAMES - time.perf_counter()))
+
+
+def _look(camera, eye: np.ndarray, centre: np.ndarray) -> None:
+    way = centre - eye
+    camera.lookat[:], camera.distance = centre, np.linalg.norm(way)
+    camera.azimuth = np.degrees(np.arctan2(way[1], way[0]))
+    camera.elevation = np.degrees(np.arcsin(way[2] / camera.distance))
 
 
 def _push(stage: Stage, model: mujoco.MjModel) -> np.ndarray:

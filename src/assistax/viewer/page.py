@@ -23,7 +23,7 @@ def page(env: Env, team: Team, seed: int, path: Path) -> None:
         view = viewpoint(scene.stage, filmed, scene.spots)
         scene.look(server.initial_camera, view)
         # Words as part of the scene, as a page has no panel: above the person, out of the way of the help.
-        above = view.lookat + np.array([0.0, 0.0, 0.42 * view.distance])
+        above = view.lookat + np.array([0.0, 0.0, 0.33 * view.distance])
         caption = server.scene.add_label("/caption", "", position=above, anchor="top-center", font_screen_scale=1.1)
         steps, recording = len(filmed.qpos), server.get_scene_serializer()
         for frame in range(max(1, int(steps * filmed.dt * FRAMES))):

@@ -91,10 +91,8 @@ class Scene:
 
     def look(self, camera, view: str | mujoco.MjvCamera) -> None:
         """Let a camera of viser look as one of the scene, "main" or "close", or as one of MuJoCo."""
-        data = self.stage.data
         if isinstance(view, str):
-            eye, forward = data.cam(view).xpos, -data.cam(view).xmat.reshape(3, 3)[:, 2]
-            centre = eye + forward * max(float((data.mocap_pos[0] - eye) @ forward), 0.3)
+            eye, centre = self.stage.aim(view)
         else:
             azimuth, elevation = np.radians([view.azimuth, view.elevation])
             level = np.cos(elevation)
