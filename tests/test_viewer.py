@@ -7,7 +7,6 @@ import time
 import urllib.request
 
 import jax
-import mujoco
 import numpy as np
 import pytest
 
@@ -66,6 +65,8 @@ def test_a_push_moves_what_is_pushed_and_is_gone_afterwards(live, scratch):
 
 def test_the_pull_of_a_hand_is_a_force_at_its_point(scratch):
     """Against MuJoCo's own way from a force at a point to the joints."""
+    import mujoco  # after assistax, which chooses how pictures are made
+
     model, data = scratch.model, mujoco.MjData(scratch.model)
     data.qpos = model.key("start").qpos
     mujoco.mj_forward(model, data)
