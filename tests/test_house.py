@@ -23,6 +23,7 @@ FLOORS = (
     ("policies",),
     ("learning",),
     ("evaluation",),
+    ("viewer",),
     ("results",),
     ("training",),
     ("teamwork",),

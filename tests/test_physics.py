@@ -12,7 +12,7 @@ from kinematics import touching_pose
 
 from assistax import scenes
 from assistax.errors import SimulationError
-from assistax.physics import check_faults, make_engine
+from assistax.physics import PUSH, check_faults, make_engine
 from assistax.physics.engine import OVERFLOW, UNSTABLE
 from assistax.tasks import task_spec
 
@@ -121,6 +121,25 @@ def test_mjx_reads_the_forces_that_mujoco_has(model, pressing):
             place = scenes.sensor_slices(model)[name]
             assert np.linalg.norm(data.sensordata[place]) > 0.5
             np.testing.assert_allclose(read[place], data.sensordata[place], rtol=1e-4, atol=1e-3)
+
+
+def test_a_push_is_mujocos_to_the_bit(model, engine):
+    """On one of two environments, and gone when it is taken out."""
+    push = np.zeros((2, model.nbody, 6), np.float32)
+    push[0, model.body("right_forearm").id] = 0.0, 5.0, -10.0, 0.1, 0.0, 0.2
+    start, ctrl = jnp.tile(jnp.asarray(model.key("start").qpos, jnp.float32), (2, 1)), jnp.zeros((2, model.nu))
+    state = jax.vmap(engine.init)(start, 0 * start)
+    step = jax.jit(jax.vmap(engine.step))
+    pushed = step(dataclasses.replace(state, overrides={PUSH: jnp.asarray(push)}), ctrl)
+    for env in range(2):
+        data = mujoco.MjData(model)
+        data.qpos, data.xfrc_applied = start[env], push[env]
+        data.qacc_warmstart = state.qacc_warmstart[env]
+        for _ in range(4):
+            mujoco.mj_step(model, data)
+        np.testing.assert_array_equal(pushed.qvel[env], data.qvel.astype(np.float32))
+    assert np.abs(pushed.qvel[0] - pushed.qvel[1]).max() > 0.01
+    np.testing.assert_array_equal(step(state, ctrl).qvel[0], pushed.qvel[1])
 
 
 @pytest.mark.parametrize("name", ["mujoco", "warp"])

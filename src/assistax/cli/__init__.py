@@ -23,11 +23,12 @@ from assistax.cli.sweep import sweep
 from assistax.cli.table import table
 from assistax.cli.tasks import tasks
 from assistax.cli.train import train
+from assistax.cli.view import view
 from assistax.errors import AssistaxError
 
 DESCRIPTION = "A robot arm and a person, both with policies of their own: train, evaluate, watch."
 COMMANDS = (
-    *(train, sweep, play, evaluate, crossplay, render, table, plot),
+    *(train, sweep, play, evaluate, crossplay, render, view, table, plot),
     *(export, reproduce, tasks, settings, humans, doctor, bench),
 )
 # Commands of several words, with their own overview.

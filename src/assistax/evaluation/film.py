@@ -10,34 +10,26 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from assistax import scenes
 from assistax.errors import UsageError
 from assistax.evaluation.filmed import Filmed
 from assistax.evaluation.overlay import Overlay
 from assistax.evaluation.sight import Spots, viewpoint
+from assistax.evaluation.stage import THICK, Disc, Stage, lying_on
 from assistax.files import write_atomically, writing
-from assistax.tasks import task_spec
 
 FILM_FORMATS = {".mp4": 25, ".webp": 10, ".gif": 10, ".png": 1}  # frames per second; .webp plays in web pages
 ELLIPSOID = mujoco.mjtGeom.mjGEOM_ELLIPSOID
-THICK = 0.003  # m, half of a disc
-
-Disc = tuple[np.ndarray, np.ndarray, tuple[float, float, float, float], float]
-"""Something flat on the skin: its place [3] m, what points out of the skin [3], colour, radius m."""
 
 
-class Camera:
+class Camera(Stage):
     """Renders joint positions of one task's scene. Use as a context manager, or `close` it."""
 
     def __init__(self, task: str, width: int = 640, height: int = 480, view: str = "main"):
         for name, pixels in {"width": width, "height": height}.items():
             if not 16 <= pixels <= 8192:
                 raise UsageError(f"The {name} of a picture must be from 16 to 8192 pixels, not {pixels}.")
-        scene = task_spec(task).scene
-        self.targets = scene.targets
-        self.model = scenes.build(scene).compile()
+        super().__init__(task)
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
-        self.data = mujoco.MjData(self.model)
         self.view: str | mujoco.MjvCamera = view
         self.width, self.height = width, height
         try:
@@ -66,22 +58,12 @@ class Camera:
         self.pose(qpos, marker)
         return self.render()
 
-    def pose(self, qpos: np.ndarray, marker: np.ndarray) -> None:
-        """Put the bodies and the target there."""
-        self.data.qpos[:] = qpos
-        self.data.mocap_pos[0] = marker
-        mujoco.mj_forward(self.model, self.data)
-        self.at_mouth = bool(np.linalg.norm(marker - self.data.site("mouth").xpos) < 1e-3)
-        self.model.geom("target").rgba[3] = not self.at_mouth  # it would hide the lips
-
     def render(self, discs: Iterable[Disc] = ()) -> np.ndarray:
         """The picture of what was posed last, with discs on it."""
         self._renderer.update_scene(self.data, camera=self.view)
         scene = self._renderer.scene
         for place, normal, colour, radius in discs:
-            x = np.cross(normal, [1.0, 0.0, 0.0] if abs(normal[0]) < 0.7 else [0.0, 1.0, 0.0])
-            x /= np.linalg.norm(x)
-            turn = np.stack([x, np.cross(normal, x), normal], 1).ravel()
+            turn = lying_on(normal).ravel()
             size = np.array([radius, radius, THICK])
             mujoco.mjv_initGeom(scene.geoms[scene.ngeom], ELLIPSOID, size, place, turn, np.array(colour, np.float32))
             scene.ngeom += 1

@@ -23,6 +23,7 @@ class Filmed:
     # all of them are at every step [T, spots]: tasks.base.TO_DO, DONE or NOTHING_TO_DO.
     spots: dict[str, np.ndarray] = field(default_factory=dict)
     spot_states: np.ndarray = field(default_factory=nothing)
+    before: int = 0  # control steps of the episode that are not in it
 
     def first(self, steps: int) -> "Filmed":
         """Its beginning."""

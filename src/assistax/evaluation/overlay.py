@@ -9,6 +9,7 @@ from PIL import Image, ImageDraw, ImageFont
 from assistax.evaluation import sight
 from assistax.evaluation.filmed import Filmed
 from assistax.evaluation.sight import Spots
+from assistax.evaluation.stage import Disc, Stage
 from assistax.human import harm
 from assistax.tasks.base import DONE, NOTHING_TO_DO, TO_DO
 
@@ -48,12 +49,8 @@ class Overlay:
         camera, filmed, marker = self.camera, self.filmed, self.filmed.marker[i]
         model, data = camera.model, camera.data
         camera.pose(filmed.qpos[i], marker)
-        states = filmed.spot_states[i] if filmed.spots else ()
-        discs = [(*spot, *SPOTS[int(state)]) for *spot, state in zip(*self.spots.at(data), states, strict=True)]
         normal = sight.out_of_skin(model, data, marker)
-        if normal is not None and not discs and not camera.at_mouth:
-            discs = [(marker, normal, *ITCH)]
-        pixels = Image.fromarray(camera.render(discs))
+        pixels = Image.fromarray(camera.render(discs(camera, filmed, i, self.spots)))
         over = Image.new("RGBA", (FINER * camera.width, FINER * camera.height))
         draw = ImageDraw.Draw(over)
         if normal is not None and self._far(marker):
@@ -78,8 +75,7 @@ class Overlay:
 
     def _arrow(self, draw, force, tip):
         """With its head at the tool, pointing as the force on the person does."""
-        newtons = float(np.linalg.norm(force))
-        tail = tip - force / newtons * min(LENGTH + PER_NEWTON * newtons, LONGEST)
+        tail, colour = arrow(force, tip)
         head, tail = (FINER * self.camera.pixel(point) for point in (tip, tail))
         way = head - tail
         long = max(float(np.linalg.norm(way)), 1e-6)
@@ -89,15 +85,32 @@ class Overlay:
         neck = head - barb * along
         shape = [tail + thick * across / 2, neck + thick * across / 2, neck + 1.5 * thick * across, head]
         shape += [neck - 1.5 * thick * across, neck - thick * across / 2, tail - thick * across / 2]
-        colour = tuple(round(np.interp(newtons, [n for n, _ in FORCES], [c[k] for _, c in FORCES])) for k in range(3))
         draw.polygon([tuple(corner) for corner in shape], fill=(*colour, 255), outline=(20, 20, 25, 255), width=FINER)
+
+
+def discs(stage: Stage, filmed: Filmed, i: int, spots: Spots) -> list[Disc]:
+    """What is to be done to the skin, and what has been, at control step i; the stage is posed so."""
+    states = filmed.spot_states[i] if filmed.spots else ()
+    found = [(*spot, *SPOTS[int(state)]) for *spot, state in zip(*spots.at(stage.data), states, strict=True)]
+    if found or stage.at_mouth:
+        return found
+    normal = sight.out_of_skin(stage.model, stage.data, filmed.marker[i])
+    return [] if normal is None else [(filmed.marker[i], normal, *ITCH)]
+
+
+def arrow(force: np.ndarray, tip: np.ndarray) -> tuple[np.ndarray, tuple[int, int, int]]:
+    """Where [3] m the arrow of a force [3] N begins that ends at the tool's tip, and its colour; a force above FELT."""
+    newtons = float(np.linalg.norm(force))
+    red, green, blue = (np.interp(newtons, [n for n, _ in FORCES], [c[k] for _, c in FORCES]) for k in range(3))
+    tail = tip - force / newtons * min(LENGTH + PER_NEWTON * newtons, LONGEST)
+    return tail, (round(red), round(green), round(blue))
 
 
 def lines(filmed: Filmed, i: int) -> tuple[Line, Line]:
     """The caption at control step i: what has been achieved so far, and what the robot has done to the person."""
     so_far = {name: float(values[i]) for name, values in filmed.metrics.items()}
     success = so_far["success"] > 0
-    done: Line = [(f"{filmed.task}  {(i + 1) * filmed.dt:.1f} s", WHITE)]
+    done: Line = [(f"{filmed.task}  {(filmed.before + i + 1) * filmed.dt:.1f} s", WHITE)]
     outcomes = [outcome(name, value) for name, value in so_far.items() if name not in GENERAL]
     done += [(words, WHITE) for words in outcomes if words]
     done.append(("success", GREEN) if success else ("no success yet", GREY))

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax.env import Env
+from assistax.evaluation import turns
 from assistax.evaluation.distribution import Distribution
 from assistax.evaluation.filmed import Filmed
 from assistax.evaluation.statistics import bootstrap_ci, proportion_ci
@@ -63,38 +64,23 @@ class Evaluator:
         playing, series = first
         episode = typical(result["metrics"]["return"], len(playing))
         series = jax.tree.map(lambda x: x[episode][playing[episode]], series)
-        spots = {body: np.asarray(places) for body, places in getattr(self.env.task, "spots", {}).items()}
-        return result | {"filmed": Filmed(self.env.name, self.env.dt, **series, spots=spots)}
+        return result | {"filmed": Filmed(self.env.name, self.env.dt, **series, spots=turns.spots(self.env))}
 
     def _one(self, team: Team, key):
         env = self.env
         reset_key, key = jax.random.split(key)
-        obs, state = env.reset(reset_key)
-        person = state.person.index
-        params = {}
-        for i, agent in enumerate(env.agents):
-            drawn = team[agent].draw(jax.random.fold_in(reset_key, i)) if team[agent].members > 1 else 0
-            drawn = person if team[agent].by_person else drawn
-            params[agent] = team[agent].member(drawn)
-        carries = {agent: player.initial_carry() for agent, player in team.items()}
+        params, turn = turns.begin(env, team, reset_key)
+        person = turn.state.person.index
 
         def step(carry, key):
-            state, obs, carries, playing, first = carry
-            actions = {}
-            for agent, k in zip(env.agents, jax.random.split(key, env.num_agents), strict=True):
-                seen = carries[agent], obs[agent], state, first, k
-                actions[agent], carries[agent] = team[agent].act(params[agent], *seen)
-            obs, state, _, terminated, truncated, info = env.step_env(key, state, actions)
-            still_on = playing & ~(terminated["__all__"] | truncated["__all__"])
+            turn, playing = carry
+            turn, info, over = turns.advance(env, team, params, turn, key)
             out = {k: info[k] for k in ("reward_terms", "robot_force", "fault")}
-            force = env.sensors(state.physics)["robot_force"]
-            series = {"qpos": state.physics.qpos, "marker": env.markers(state), "force": force}
-            series |= {"metrics": info["metrics"], "spot_states": _spot_states(env.task, state.task)}
-            out |= {"playing": playing, "series": series}
-            return (state, obs, carries, still_on, jnp.bool_(False)), out
+            out |= {"playing": playing, "series": turns.seen(env, turn.state)}
+            return (turn, playing & ~over), out
 
-        start = (state, obs, carries, jnp.bool_(True), jnp.bool_(True))
-        _, out = jax.lax.scan(step, start, jax.random.split(key, env.config.episode_length))
+        keys = jax.random.split(key, env.config.episode_length)
+        _, out = jax.lax.scan(step, (turn, jnp.bool_(True)), keys)
         on = out["playing"]
         last = on.sum() - 1
         return {
@@ -104,10 +90,6 @@ class Evaluator:
             "fault": jnp.where(on, out["fault"], 0).max(),
             **{name: out[name] for name in ("robot_force", "playing", "series")},
         }
-
-
-def _spot_states(task, state) -> jax.Array:
-    return task.spot_states(state) if hasattr(task, "spots") else jnp.zeros(0, jnp.int8)
 
 
 def play(env: Env, team: Team, episodes: int, seed: int = EVALUATION_SEED) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 import mujoco
 
 from assistax.errors import UsageError, choose
-from assistax.physics.engine import UNSTABLE, Engine, PhysicsState, check_faults
+from assistax.physics.engine import PUSH, UNSTABLE, Engine, PhysicsState, check_faults
 
 ENGINES = {
     "mujoco": "MuJoCo in C on all CPU cores (default without a GPU)",
@@ -63,4 +63,4 @@ def make_engine(
     return WarpEngine(model, substeps, contacts_per_env, constraints_per_env)
 
 
-__all__ = ["ENGINES", "UNSTABLE", "Engine", "PhysicsState", "check_faults", "make_engine", "resolve_engine"]
+__all__ = ["ENGINES", "PUSH", "UNSTABLE", "Engine", "PhysicsState", "check_faults", "make_engine", "resolve_engine"]

@@ -13,7 +13,11 @@ from assistax.pytree import pytree
 
 Overrides = dict[str, jax.Array]
 """Model fields with a value of their own in this environment, by their MuJoCo name,
-for example {"jnt_range": [njnt, 2], "actuator_gainprm": [nu, 10]}."""
+for example {"jnt_range": [njnt, 2], "actuator_gainprm": [nu, 10]}; and PUSH, see there."""
+
+PUSH = "xfrc_applied"
+"""Among the overrides no field of the model but a push from outside: [nbody, 6] force in N and torque in Nm on every
+body, at its centre of mass and in world axes, held until it is taken out."""
 
 # Bits of PhysicsState.fault.
 UNSTABLE, OVERFLOW = 1, 2

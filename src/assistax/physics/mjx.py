@@ -12,7 +12,7 @@ import numpy as np
 
 from assistax.errors import UsageError
 from assistax.physics.batching import whole_batch
-from assistax.physics.engine import OVERFLOW, UNSTABLE, Engine, Overrides, PhysicsState
+from assistax.physics.engine import OVERFLOW, PUSH, UNSTABLE, Engine, Overrides, PhysicsState
 
 try:
     import warp
@@ -44,8 +44,10 @@ class _MjxBase(Engine):
 
     def _run(self, data: mjx.Data, state: PhysicsState, ctrl, substeps: int) -> PhysicsState:
         """`substeps` steps (0: only the forward pass) of one environment."""
-        model = self._model.replace(**state.overrides) if state.overrides else self._model
+        fields = dict(state.overrides)
         rows = {"qpos": state.qpos, "qvel": state.qvel, "qacc_warmstart": state.qacc_warmstart}
+        rows |= {PUSH: fields.pop(PUSH)} if PUSH in fields else {}
+        model = self._model.replace(**fields) if fields else self._model
         data = data.replace(**rows, ctrl=jnp.asarray(ctrl, jnp.float32))
         fault = state.fault
         if substeps == 0:

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
-from assistax.physics.engine import OVERFLOW, UNSTABLE, Engine, Overrides, PhysicsState
+from assistax.physics.engine import OVERFLOW, PUSH, UNSTABLE, Engine, Overrides, PhysicsState
 
 _STATE = ("qpos", "qvel", "qacc_warmstart")
 _FULL = [int(mujoco.mjtWarning.mjWARN_CONTACTFULL), int(mujoco.mjtWarning.mjWARN_CNSTRFULL)]
@@ -82,7 +82,7 @@ class MujocoEngine(Engine):
             batch.bind("sensordata")
             self._batches[(n, *sorted(overrides))] = batch
         for name, value in overrides.items():
-            rows = batch.expand(name)
+            rows = batch.bind(name) if name == PUSH else batch.expand(name)
             rows[:] = np.reshape(value, rows.shape)
         return batch
 

@@ -1,0 +1,1 @@
+"""Watching an episode: live in the browser or in MuJoCo's window, or as a page that plays without a server."""
