@@ -150,7 +150,9 @@ def test_help_is_paid_best(name, who):
 def test_washing_is_paid_more_than_hovering_over_dirt():
     """An episode that washes what is dirty, and one that hovers on a dirty point to its end."""
     env = assistax.make("bed_bath-v1", engine="mujoco")
+    washing = env.task.config.wipe_scale * 52.0
+    assert 1000 + washing == env.spec.bound
     hovering = env.config.episode_length * 1.0  # reach pays 1 a step at most
     late = 0.8 * env.config.episode_length  # even if the last point is washed after four fifths of the time
-    assert 156.0 + env.config.episode_length > MARGIN * hovering
-    assert late + 156.0 + (env.config.episode_length - late) > MARGIN * hovering
+    assert washing + env.config.episode_length > MARGIN * hovering
+    assert late + washing + (env.config.episode_length - late) > MARGIN * hovering
