@@ -145,13 +145,15 @@ class Env:
 
     # -- the two functions ---------------------------------------------------------------------
 
-    def reset(self, key: jax.Array, elapsed: jax.Array | int = 0) -> tuple[Obs, EnvState]:
+    def reset(
+        self, key: jax.Array, elapsed: jax.Array | int = 0, person: jax.Array | None = None
+    ) -> tuple[Obs, EnvState]:
         """Begin an episode: fresh targets, joints at rest with a little noise.
 
         With `elapsed` the time limit is that many steps nearer, so that the episodes of a batch need
-        not all end together.
+        not all end together. `person` is the row of who it is in the list of people; None draws one.
         """
-        start = self._draw(key)
+        start = self._draw(key, person)
         physics = self.engine.init(start.qpos, start.qvel, start.overrides)
         state = self._begin(physics, start, jnp.asarray(elapsed, jnp.int32))
         return self._observe(state), state
@@ -286,18 +288,18 @@ class Env:
     def _columns(self, prefix: str, joints) -> np.ndarray:
         return np.array([self._slices[prefix + joint].start for joint in joints])
 
-    def _draw(self, key) -> _Start:
+    def _draw(self, key, person: jax.Array | None = None) -> _Start:
         task_key, person_key, phase_key, key = jax.random.split(key, 4)
-        person = self.config.human.draw(person_key)
+        profile = self.config.human.draw(person_key, person)
         overrides = (
-            self._body.overrides(person.disability, self.spec.tremor_weakens) if self.config.human.disabled else {}
+            self._body.overrides(profile.disability, self.spec.tremor_weakens) if self.config.human.disabled else {}
         )
         noise = jax.random.uniform(key, (2, self.model.nq), minval=-1.0, maxval=1.0) * self._noise
         limits = overrides.get("jnt_range", jnp.asarray(self.model.jnt_range))
         qpos = jnp.clip(self._start + noise[0], limits[:, 0], limits[:, 1])
         phase = jax.random.uniform(phase_key, (self.action_sizes["human"],), maxval=2.0 * jnp.pi)
         seed = jax.random.bits(jax.random.fold_in(key, _SEED), (2,), jnp.uint32)
-        return _Start(qpos, noise[1], self.task.reset(task_key), person, phase, overrides, seed)
+        return _Start(qpos, noise[1], self.task.reset(task_key), profile, phase, overrides, seed)
 
     def _draw_batch(self, done: jax.Array, keys: jax.Array, seeds: jax.Array) -> _Start:
         """What a reset draws [n, ...] where an episode is done, zeros elsewhere: random bits are not free."""
@@ -377,12 +379,16 @@ class Env:
         blocks = {name: s[name] for name in names} | self.task.observe(s, state.task)
         if self.config.human.preferring and self.config.human.visibility != "none":
             blocks["preference"] = preference.vector(state.person.preference)
+        if self.config.human.visibility == "oracle":
+            blocks["body"] = disability.vector(state.person.disability)
         return blocks
 
     def _seen_by(self, agent: str, blocks):
         hidden = set(_HIDDEN[agent])
         if agent == "robot" and self.config.human.visibility == "human":
             hidden.add("preference")
+        if agent == "human":
+            hidden.add("body")
         return {name: block for name, block in blocks.items() if name not in hidden}
 
     def _observe(self, state: EnvState) -> Obs:

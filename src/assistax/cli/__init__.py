@@ -7,7 +7,7 @@ from typing import Any
 
 import tyro
 
-from assistax.cli import population
+from assistax.cli import population, teamwork
 from assistax.cli.bench import bench
 from assistax.cli.crossplay import crossplay
 from assistax.cli.doctor import doctor
@@ -34,6 +34,7 @@ COMMANDS = (
 # Commands of several words, with their own overview.
 GROUPS: dict[str, tuple[str, dict[str, Any]]] = {
     "population": ("Train, gather, split and look at populations of partners.", population.COMMANDS),
+    "teamwork": ("Measure robots with people they have never met.", teamwork.COMMANDS),
 }
 
 

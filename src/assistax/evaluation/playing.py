@@ -33,10 +33,16 @@ class Evaluator:
         self.env, self.episodes = env, episodes
         turns = -(-episodes // MOST_AT_ONCE)
         self._at_once = -(-episodes // turns)
-        self._play = jax.jit(jax.vmap(self._one, (None, 0)))
+        self._play = jax.jit(jax.vmap(self._one, (None, 0, 0)))
+        self._drawn = jax.jit(jax.vmap(self._one, (None, 0, None)))
 
-    def __call__(self, team: Team, seed: int = EVALUATION_SEED) -> dict[str, Any]:
+    def __call__(self, team: Team, seed: int = EVALUATION_SEED, people: Any = None) -> dict[str, Any]:
         """Play.
+
+        Args:
+          team: who.
+          seed: of what episodes draw.
+          people: [episodes] rows of the environment's list of people, who it is in each episode; None draws them.
 
         Returns:
           arrays by name, first axis the episode: "terms" (each reward term's sum over the episode),
@@ -53,7 +59,12 @@ class Evaluator:
         for start in range(0, self.episodes, self._at_once):
             ids = np.arange(start, start + self._at_once)
             fresh = ids < self.episodes  # the last turn is filled up with its last episode, for one compiled program
-            out = jax.tree.map(np.asarray, self._play(team, keys[np.minimum(ids, self.episodes - 1)]))
+            ids = np.minimum(ids, self.episodes - 1)
+            if people is None:
+                out = self._drawn(team, keys[ids], None)
+            else:
+                out = self._play(team, keys[ids], jnp.asarray(people, jnp.int32)[ids])
+            out = jax.tree.map(np.asarray, out)
             out = jax.tree.map(lambda x, fresh=fresh: x[fresh], out)
             check_faults(out.pop("fault"), self.env.engine.name)
             turn = out.pop("playing"), out.pop("series")
@@ -66,10 +77,10 @@ class Evaluator:
         series = jax.tree.map(lambda x: x[episode][playing[episode]], series)
         return result | {"filmed": Filmed(self.env.name, self.env.dt, **series, spots=turns.spots(self.env))}
 
-    def _one(self, team: Team, key):
+    def _one(self, team: Team, key, person):
         env = self.env
         reset_key, key = jax.random.split(key)
-        params, turn = turns.begin(env, team, reset_key)
+        params, turn = turns.begin(env, team, reset_key, person)
         person = turn.state.person.index
 
         def step(carry, key):

@@ -19,9 +19,12 @@ class Turn(NamedTuple):
     first: jax.Array  # bool, before the first step
 
 
-def begin(env: Env, team: Team, key: jax.Array) -> tuple[dict[str, Any], Turn]:
-    """Reset, and draw who of each player plays: (parameters by agent, the first turn)."""
-    obs, state = env.reset(key)
+def begin(env: Env, team: Team, key: jax.Array, person: jax.Array | None = None) -> tuple[dict[str, Any], Turn]:
+    """Reset, and draw who of each player plays: (parameters by agent, the first turn).
+
+    `person` is the row of who it is in the environment's list of people; None draws one.
+    """
+    obs, state = env.reset(key, person=person)
     params = {}
     for i, agent in enumerate(env.agents):
         drawn = team[agent].draw(jax.random.fold_in(key, i)) if team[agent].members > 1 else 0

@@ -29,10 +29,12 @@ class HumanConfig:
     # Instead of both, a list of people of whom every reset draws one: "paper630", a JSON file, or
     # whatever else `population.people` takes. Kept in words: a run does not need the file again.
     people: str | tuple[Person, ...] | HumanProfile = "none"
-    visibility: str = "both"  # who sees the preference: "both" (the paper), "human" or "none"
+    # Who sees the preference: "both" (the paper), "human" or "none"; with "oracle" both do, and the robot is told the
+    # body as well (tremor, its frequency, strength and motion), as a reference for robots that have to find out.
+    visibility: str = "both"
 
     def __post_init__(self):
-        choose("visibility", self.visibility, ["both", "human", "none"])
+        choose("visibility", self.visibility, ["both", "human", "none", "oracle"])
         if self.people != "none":
             if (self.disability, self.preference) != ("none", "none"):
                 raise UsageError(
@@ -70,12 +72,13 @@ class HumanConfig:
     def preferring(self) -> bool:
         return self.preference == "sweep" or any(person.preference != "none" for person in self.listed)
 
-    def draw(self, key: jax.Array) -> HumanProfile:
-        """One person, each of those listed as likely as any other."""
+    def draw(self, key: jax.Array, index: jax.Array | None = None) -> HumanProfile:
+        """One person, each of those listed as likely as any other; or the one in row `index` of the list."""
         which, key = jax.random.split(key)
         number = len(self.listed)
         # Not randint, which takes three times as many random bits and shows in the speed of a step.
-        index = (jax.random.uniform(which) * number).astype(jnp.int32) if number > 1 else 0
+        if index is None:
+            index = (jax.random.uniform(which) * number).astype(jnp.int32) if number > 1 else jnp.int32(0)
         person = jax.tree.map(lambda x: jnp.asarray(x)[index], self._profiles)
         if self.preference == "sweep":
             person = dataclasses.replace(person, preference=preference.sample(key))

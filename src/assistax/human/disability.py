@@ -38,6 +38,11 @@ def disability(tremor: float = 0.0, tremor_hz: float = 5.0, strength: float = 1.
     return Disability(**{name: np.float32(value) for name, value in values.items()})  # ty: ignore[invalid-argument-type]
 
 
+def vector(person: Disability) -> jax.Array:
+    """[4] tremor, its frequency in Hz, strength and motion."""
+    return jnp.stack([person.tremor, person.tremor_hz, person.strength, person.motion])
+
+
 MAGNITUDES = {"tremor": {"tremor": 0.3}, "weakness": {"strength": 0.4}, "limited_range": {"motion": 0.6}}
 DISABILITIES = {  # the seven standard settings: every non-empty subset of the three
     "+".join(names): {k: v for name in names for k, v in MAGNITUDES[name].items()}

@@ -1,0 +1,106 @@
+"""`assistax teamwork ...`: robots beside people they have never met."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from assistax.cli.common import File, Number, aligned
+from assistax.errors import UsageError
+
+Methods = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME=]RUN[,RUN] ...")]
+
+
+def evaluate(
+    methods: Methods,
+    *,
+    population: Annotated[Path, tyro.conf.arg(metavar="POP")],
+    split: str = "random",
+    part: str = "test",
+    episodes: int = 16,
+    best_responses: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN ...")] = (),
+    out: File = None,
+) -> None:
+    """Measure robots with the partners of training and with held-out ones: scores, success, harm, and the gap.
+
+    For example:
+      assistax train scratch --partner human=populations/scratch:random/train --num-seeds 3 --out runs/br
+      assistax teamwork evaluate best-response=runs/br --population populations/scratch --split random
+
+    Args:
+      methods: runs whose robots are measured, with the method's name; several runs and all their seeds are one method.
+      population: the partners.
+      split: of the population, see `assistax population split`.
+      part: test for tables, val while developing.
+      episodes: with each partner.
+      best_responses: runs of robots that were trained with one of these partners: a score of 1 is the best of them and
+        of the robot that each partner was trained with; 0 the best of the still, the random and the scripted robot.
+      out: a .json for all numbers, with a picture of the same name beside it.
+    """
+    from assistax.errors import choose
+    from assistax.files import write_json
+    from assistax.teamwork.report import picture, report, table
+    from assistax.training import splits
+    from assistax.training.run import Run
+
+    choose("part", part, ["test", "val"])
+    if out is not None and out.suffix != ".json":
+        raise UsageError(f"--out must be a .json file, not {out}.")
+    if not methods:
+        raise UsageError("Name the runs whose robots are to be measured, for example best-response=runs/br.")
+    named: dict[str, list[Run]] = {}
+    for text in methods:
+        name, equals, places = text.rpartition("=")
+        runs = [Run.open(Path(place)) for place in places.split(",")]
+        if (label := name if equals else Path(places.split(",")[0]).name) in named:
+            raise UsageError(f"Two methods are called {label}; give each a name, NAME=RUN, or put them together.")
+        named[label] = runs
+    populations = {one: splits.named(f"{population}:{split}/{one}")[1] for one in ("train", part)}
+    found = report(named, populations, episodes, best_responses={str(p): Run.open(p) for p in best_responses})
+    for one in populations:
+        print(f"{found['task']}, {len(populations[one])} partners to {one}, {episodes} episodes each, 95 % intervals")
+        print(aligned(*table(found, one)), end="\n\n")
+    for name, gaps in found.get("gap", {}).items():
+        print(f"{name}: coordination gap {gaps['return']:.1f} of return, {gaps['success']:.0%} of success")
+    if out is not None:
+        write_json(out, found)
+        picture(found, out.with_suffix(".png"))
+
+
+def validity(
+    population: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POP")],
+    *,
+    sample: Number = None,
+    episodes: int = 8,
+    out: File = None,
+) -> None:
+    """Ask whether partners matter in a task: what robots lose when they meet each other's people.
+
+    For example:
+      assistax teamwork validity populations/scratch --sample 16
+
+    Args:
+      population: whose robots and people meet.
+      sample: so many members, drawn at random (default all).
+      episodes: of each pair.
+      out: a .json for the matrices, with a picture of the same name beside it.
+    """
+    from assistax.files import write_json
+    from assistax.teamwork.validity import matrix_picture, validity_of
+    from assistax.training.population import Population
+
+    if out is not None and out.suffix != ".json":
+        raise UsageError(f"--out must be a .json file, not {out}.")
+    found = validity_of(Population.load(population), episodes, sample)
+    for name in ("return", "success", "safe_success"):
+        own, cross = found["self_play"][name], found["cross_play"][name]
+        print(
+            f"{name.replace('_', ' '):14} self-play {own:.3g}, cross-play {cross:.3g}, lost {found['lost'][name]:.0%}"
+        )
+    print("Partners matter in this task." if found["valid"] else f"Not valid for ad-hoc scores: {found['why']}")
+    if out is not None:
+        write_json(out, found)
+        matrix_picture(found, out.with_suffix(".png"))
+
+
+COMMANDS = {"evaluate": evaluate, "validity": validity}

@@ -1,0 +1,169 @@
+"""The table of ad-hoc teamwork: methods beside references, with partners of training and held-out ones.
+
+One method is one or more runs, whose seeds are its robots; each meets every partner in the environment as it knows it
+(who sees the preference), with the same draws.
+"""
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from assistax.env import Env, EnvConfig
+from assistax.errors import UsageError
+from assistax.evaluation.playing import EVALUATION_SEED
+from assistax.results.figures import STYLE
+from assistax.settings import with_settings
+from assistax.stamp import stamp
+from assistax.teamwork.adhoc import Meeting, Scale, gap, summarize
+from assistax.training.configuration import TrainConfig
+from assistax.training.population import Population
+from assistax.training.run import Run
+
+SHOWN = ("score", "return", "success", "safe_success", "gated_preference_return")
+
+
+def report(
+    methods: Mapping[str, Sequence[Run]],
+    populations: Mapping[str, Population],
+    episodes: int = 16,
+    seed: int = EVALUATION_SEED,
+    best_responses: Mapping[str, Run] | None = None,
+) -> dict[str, Any]:
+    """Everybody with everybody.
+
+    Args:
+      methods: by name the runs whose robots are measured; a run's seeds are the method's.
+      populations: by part, "test" and perhaps "train": the partners.
+      episodes: with each partner.
+      seed: of the draws.
+      best_responses: by name, runs of robots that know one or more of the partners, as references for score 1.
+
+    Returns:
+      ready for JSON: "task", "episodes", "partners" (ids by part), by part "references" and "methods" (see
+      adhoc.summarize) and which partners are "scored"; "gap" by method; "stamp".
+
+    Raises:
+      UsageError: a run of another task, whose robot did not learn, or that was trained with a partner of the test.
+    """
+    everyone = [run for runs in methods.values() for run in runs] + list((best_responses or {}).values())
+    _check(everyone, populations)
+    found: dict[str, Any] = {"task": next(iter(populations.values())).task, "episodes": episodes, "seed": seed}
+    found["partners"] = {part: list(population.ids) for part, population in populations.items()}
+    for part, population in populations.items():
+        meetings = Meetings(population, episodes)
+        references = meetings.plain.references()
+        for name, run in (best_responses or {}).items():
+            references[name] = meetings(run, seed)[0]
+        scale = Scale.of(references)
+        found[part] = {
+            "references": {name: summarize([one], scale) for name, one in references.items()},
+            "methods": {
+                name: summarize([robot for run in runs for robot in meetings(run, seed)], scale)
+                for name, runs in methods.items()
+            },
+            "scored": [bool(one) for one in scale.scored],
+        }
+    if {"train", "test"} <= set(populations):
+        found["gap"] = {m: gap(found["train"]["methods"][m], found["test"]["methods"][m]) for m in methods}
+    return found | {"runs": {name: [_about(run) for run in runs] for name, runs in methods.items()}} | stamp()
+
+
+class Meetings:
+    """A Meeting for each way of knowing the person, made when it is needed."""
+
+    def __init__(self, population: Population, episodes: int):
+        self.population, self.episodes = population, episodes
+        self._made: dict[Any, Meeting] = {}
+        self.preferring = any(person.preference != "none" for person in population.people)
+        plain = Env(population.task, "auto", with_settings(EnvConfig(), {"human.people": population.people}))
+        self.plain = Meeting(plain, population, episodes)
+
+    def __call__(self, run: Run, seed: int) -> list[dict[str, np.ndarray]]:
+        """What the robot of each of the run's seeds reaches, see Meeting."""
+        config = _meeting_config(run.config, self.population)
+        key = config.env, config.task_config
+        if key not in self._made:
+            env = Env(config.task, config.engine, config.env, config.task_config)
+            if env.observation_sizes["robot"] != run.env.observation_sizes["robot"]:
+                raise UsageError(
+                    f"The robot of {run.folder} observes {run.env.observation_sizes['robot']} numbers, but beside "
+                    f"these partners {env.observation_sizes['robot']}: its people had {'no ' * self.preferring}"
+                    "preferences."
+                )
+            self._made[key] = Meeting(env, self.population, self.episodes)
+        return [self._made[key](team["robot"], seed) for team in run.teams()]
+
+
+def table(found: Mapping[str, Any], part: str = "test") -> tuple[list[str], list[list[str]]]:
+    """Head and rows: references, then methods, with means, intervals and the worst tenth."""
+    rows = []
+    measures = [m for m in SHOWN if any(m in one for one in found[part]["methods"].values())]
+    for group in ("references", "methods"):
+        for name, one in found[part][group].items():
+            cells = [name]
+            for measure in measures:
+                cells.append(_cell(one[measure]) if measure in one else "")
+            cells.append(f"{one['safe_success']['worst']:.0%}" if "safe_success" in one else "")
+            rows.append(cells)
+    return ["robot", *(m.replace("_", " ") for m in measures), "safe success, worst tenth"], rows
+
+
+def picture(found: Mapping[str, Any], path: Path) -> None:
+    """Score or return by method, training partners beside held-out ones, a dot for each partner."""
+    parts = [part for part in ("train", "val", "test") if part in found]
+    names = list(found[parts[-1]]["methods"])
+    measure = "score" if all("score" in found[parts[-1]]["methods"][name] for name in names) else "return"
+    with rc_context(STYLE):
+        figure = Figure(figsize=(2.0 + 1.6 * len(names), 3.6), layout="constrained")
+        axes = figure.subplots()
+        for k, part in enumerate(parts):
+            for i, name in enumerate(names):
+                one = found[part]["methods"][name][measure]
+                x = i + (k - (len(parts) - 1) / 2) * 0.25
+                dots = one["by_partner"]
+                axes.plot(x + np.linspace(-0.06, 0.06, len(dots)), dots, ".", color=f"C{k}", alpha=0.35, ms=4)
+                low, high = one["ci"] or (one["mean"], one["mean"])
+                error = [[one["mean"] - low], [high - one["mean"]]]
+                axes.errorbar(x, one["mean"], error, fmt="o", color=f"C{k}", capsize=3, label=part if i == 0 else None)
+        axes.set_xticks(range(len(names)), names)
+        axes.set_ylabel(f"{measure} (95 % interval over seeds and partners)")
+        axes.set_title(found["task"])
+        axes.legend(title="partners")
+        figure.savefig(path, dpi=150)
+
+
+def _cell(one: Mapping[str, Any]) -> str:
+    text = f"{one['mean']:.3g}"
+    return text if one["ci"] is None else f"{text} [{one['ci'][0]:.3g}, {one['ci'][1]:.3g}]"
+
+
+def _about(run: Run) -> dict[str, Any]:
+    config = run.config
+    return {"algorithm": config.algorithm, "steps": config.steps, "seeds": list(config.seeds)}
+
+
+def _meeting_config(config: TrainConfig, population: Population) -> TrainConfig:
+    """The run's configuration with the population's people in place of its own."""
+    human = dataclasses.replace(config.env.human, people=population.people, disability="none", preference="none")
+    return dataclasses.replace(config, env=dataclasses.replace(config.env, human=human))
+
+
+def _check(runs: Sequence[Run], populations: Mapping[str, Population]) -> None:
+    for population in populations.values():
+        for run in runs:
+            if run.config.task != population.task:
+                raise UsageError(f"{run.folder} is of {run.config.task}, the partners are of {population.task}.")
+            if "robot" not in run.trainer.learners:
+                raise UsageError(f"The robot of {run.folder} did not learn; there is nothing to measure.")
+    if "test" not in populations:
+        return
+    held_out = set(populations["test"].ids)
+    for run in runs:
+        met = run.partners["human"].population if "human" in run.partners else None
+        if met is not None and (both := held_out & set(met.ids)):
+            raise UsageError(f"{run.folder} was trained with {min(both)[:12]}, a partner of the test.")
