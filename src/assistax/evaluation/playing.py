@@ -42,7 +42,8 @@ class Evaluator:
         Args:
           team: who.
           seed: of what episodes draw.
-          people: [episodes] rows of the environment's list of people, who it is in each episode; None draws them.
+          people: [episodes] rows of the environment's list of people, who it is in each episode: the first episode of
+            everybody has the same draws, as has the second, and so on. None draws people.
 
         Returns:
           arrays by name, first axis the episode: "terms" (each reward term's sum over the episode),
@@ -54,17 +55,17 @@ class Evaluator:
         for player in team.values():
             player.check()
         keys = jax.random.split(jax.random.key(seed), self.episodes)
+        if people is not None:
+            people = np.asarray(people, np.int32)
+            keys = keys[np.array([(people[:i] == person).sum() for i, person in enumerate(people)])]
         force, parts = Distribution(), []
         first: Any = None
         for start in range(0, self.episodes, self._at_once):
             ids = np.arange(start, start + self._at_once)
             fresh = ids < self.episodes  # the last turn is filled up with its last episode, for one compiled program
             ids = np.minimum(ids, self.episodes - 1)
-            if people is None:
-                out = self._drawn(team, keys[ids], None)
-            else:
-                out = self._play(team, keys[ids], jnp.asarray(people, jnp.int32)[ids])
-            out = jax.tree.map(np.asarray, out)
+            play, who = (self._drawn, None) if people is None else (self._play, people[ids])
+            out = jax.tree.map(np.asarray, play(team, keys[ids], who))
             out = jax.tree.map(lambda x, fresh=fresh: x[fresh], out)
             check_faults(out.pop("fault"), self.env.engine.name)
             turn = out.pop("playing"), out.pop("series")

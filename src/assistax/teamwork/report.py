@@ -13,11 +13,10 @@ import numpy as np
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from assistax.env import Env, EnvConfig
+from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.evaluation.playing import EVALUATION_SEED
 from assistax.results.figures import STYLE
-from assistax.settings import with_settings
 from assistax.stamp import stamp
 from assistax.teamwork.adhoc import Meeting, Scale, gap, summarize
 from assistax.training.configuration import TrainConfig
@@ -55,7 +54,7 @@ def report(
     found: dict[str, Any] = {"task": next(iter(populations.values())).task, "episodes": episodes, "seed": seed}
     found["partners"] = {part: list(population.ids) for part, population in populations.items()}
     for part, population in populations.items():
-        meetings = Meetings(population, episodes)
+        meetings = Meetings(everyone[0].config, population, episodes)
         references = meetings.plain.references()
         for name, run in (best_responses or {}).items():
             references[name] = meetings(run, seed)[0]
@@ -74,14 +73,17 @@ def report(
 
 
 class Meetings:
-    """A Meeting for each way of knowing the person, made when it is needed."""
+    """A Meeting for each way of knowing the person, made when it is needed.
 
-    def __init__(self, population: Population, episodes: int):
+    `plain`, for those who need not know the person, is in the environment of `config`.
+    """
+
+    def __init__(self, config: TrainConfig, population: Population, episodes: int):
         self.population, self.episodes = population, episodes
-        self._made: dict[Any, Meeting] = {}
         self.preferring = any(person.preference != "none" for person in population.people)
-        plain = Env(population.task, "auto", with_settings(EnvConfig(), {"human.people": population.people}))
-        self.plain = Meeting(plain, population, episodes)
+        config = _meeting_config(config, population, visibility="both")
+        self.plain = Meeting(Env(config.task, config.engine, config.env, config.task_config), population, episodes)
+        self._made: dict[Any, Meeting] = {(config.env, config.task_config): self.plain}
 
     def __call__(self, run: Run, seed: int) -> list[dict[str, np.ndarray]]:
         """What the robot of each of the run's seeds reaches, see Meeting."""
@@ -147,9 +149,10 @@ def _about(run: Run) -> dict[str, Any]:
     return {"algorithm": config.algorithm, "steps": config.steps, "seeds": list(config.seeds)}
 
 
-def _meeting_config(config: TrainConfig, population: Population) -> TrainConfig:
+def _meeting_config(config: TrainConfig, population: Population, **knowing: Any) -> TrainConfig:
     """The run's configuration with the population's people in place of its own."""
-    human = dataclasses.replace(config.env.human, people=population.people, disability="none", preference="none")
+    who: dict[str, Any] = {"people": population.people, "disability": "none", "preference": "none"}
+    human = dataclasses.replace(config.env.human, **who, **knowing)
     return dataclasses.replace(config, env=dataclasses.replace(config.env, human=human))
 
 

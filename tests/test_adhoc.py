@@ -1,0 +1,163 @@
+"""Ad-hoc teamwork: who meets whom, scores and intervals against hand-worked numbers and simulations."""
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from commands import assistax as assistax_command
+from stored import stored_run
+
+import assistax
+from assistax.errors import UsageError
+from assistax.evaluation.statistics import crossed_ci
+from assistax.human import Person
+from assistax.learning.ppo import PPO, PPOConfig
+from assistax.policies import Player, scripted_policy
+from assistax.teamwork.adhoc import Meeting, Scale, gap, summarize
+from assistax.teamwork.report import report
+from assistax.training import splits
+from assistax.training.configuration import configure
+from assistax.training.population import Population
+
+CONFIG = PPOConfig(num_steps=4, num_minibatches=1, hidden=(8, 8), initial_log_std=-1.0)
+SETTINGS = {"ppo.num_steps": 4, "ppo.num_minibatches": 1, "ppo.hidden": (8, 8), "env.human.preference": "default"}
+PEOPLE = ("none", "tremor", "weakness", "limited_range", "strength=0.5")
+
+
+@pytest.fixture(scope="module")
+def population():
+    """Five untrained members with preferences."""
+    env = assistax.make("scratch-v1", engine="mujoco", human={"preference": "default"})
+    trainer = PPO(env, CONFIG, 2, 1)
+    init, made = jax.jit(trainer.init), []
+    for seed, words in enumerate(PEOPLE):
+        params = trainer.policy_params(init(jax.random.key(seed)))
+        row = {"task": env.name, "algorithm": "ippo", "seed": seed, "steps": 64, "robot": True}
+        row["person"] = dataclasses.asdict(Person(words, "default"))
+        made.append((row, {agent: Player.of(trainer.policy(False), params[agent]) for agent in params}))
+    return Population.of_teams(made)
+
+
+def meeting(population, episodes=2):
+    env = assistax.make("scratch-v1", engine="mujoco", episode_length=30, human={"people": population.people})
+    return Meeting(env, population, episodes)
+
+
+def test_the_order_of_partners_changes_nothing_and_twice_is_the_same(population):
+    robot = {"policy": "expert"}
+    order = population.ids[::-1]
+    here, there = meeting(population), meeting(population.select(order))
+    first, again, turned = (
+        one(Player(scripted_policy(robot["policy"], one.env, "robot"))) for one in (here, here, there)
+    )
+    for name in first:
+        assert first[name].shape == (5, 2)
+        np.testing.assert_array_equal(first[name], again[name])
+        np.testing.assert_array_equal(first[name], turned[name][::-1])
+    assert len(np.unique(first["return"])) == 10
+
+
+def test_a_reset_can_name_the_person(population):
+    env = meeting(population).env
+    _, states = jax.vmap(env.reset, (0, None, 0))(jax.random.split(jax.random.key(0), 5), 0, jnp.arange(5))
+    assert states.person.index.tolist() == [0, 1, 2, 3, 4]
+    strengths = [float(dataclasses.asdict(p)["disability"] == "strength=0.5") for p in population.people]
+    np.testing.assert_allclose(states.person.disability.strength[4], 0.5)
+    assert strengths == [0, 0, 0, 0, 1]
+
+
+def test_scores_are_between_who_knows_nobody_and_who_knows_them():
+    returns = {"still": [1.0, 5.0, 2.0], "random": [0.0, 1.0, 1.0], "expert": [3.0, 2.0, 1.0]}
+    references = {name: {"return": np.array(x)[:, None]} for name, x in returns.items()}
+    references |= {
+        "own": {"return": np.array([[5.0], [5.1], [4.0]])},
+        "best": {"return": np.array([[7.0], [5.0], [3.0]])},
+    }
+    scale = Scale.of(references)
+    assert scale.zero.tolist() == [3, 5, 2] and scale.one.tolist() == [7, 5.1, 4]
+    assert scale.scored.tolist() == [True, False, True]  # the second knows nobody and is as good
+    robots = [{"return": np.array([[5.0], [5.0], [2.0]])}, {"return": np.array([[7.0], [5.0], [4.0]])}]
+    found = summarize(robots, scale)
+    assert found["score"]["by_partner"] == [0.75, 0.5] and found["score"]["mean"] == 0.625
+    assert found["score"]["by_seed"] == [0.25, 1.0] and found["return"]["worst"] == 3.0
+    assert not Scale.of({k: references[k] for k in returns}).scored.any()
+
+
+def test_preferences_count_only_with_success():
+    one = {"return": np.ones((2, 2)), "success": np.array([[1.0, 0.0], [1.0, 1.0]])}
+    one["preference_return"] = np.array([[10.0, 100.0], [20.0, 40.0]])
+    found = summarize([one])
+    assert found["gated_preference_return"]["by_partner"] == [5.0, 30.0]
+    assert gap(found, summarize([one | {"return": np.zeros((2, 2))}]))["return"] == 1.0
+
+
+@pytest.mark.parametrize("shape", [(3, 10), (10, 50)])
+@pytest.mark.parametrize("spread", [(1.0, 1.0, 1.0), (1.0, 0.3, 0.3), (0.3, 1.0, 0.3), (0.1, 0.1, 1.0)])
+def test_coverage_over_seeds_and_partners(shape, spread):
+    rng, (seeds, partners) = np.random.default_rng(0), shape
+    covered, trials = 0, 600
+    for _ in range(trials):
+        effects = rng.normal(size=(seeds, 1)), rng.normal(size=(1, partners)), rng.normal(size=shape)
+        low, high = crossed_ci(sum(a * x for a, x in zip(spread, effects, strict=True)))
+        covered += low <= 0 <= high
+    assert 0.9 <= covered / trials <= 0.995
+
+
+def test_an_interval_of_one_seed_is_over_partners():
+    x = np.array([[1.0, 2.0, 3.0, 6.0]])
+    low, high = crossed_ci(x)
+    error = x.std(ddof=1) / 2
+    np.testing.assert_allclose((low, high), (3 - 3.182446 * error, 3 + 3.182446 * error), rtol=1e-5)
+    assert crossed_ci(np.ones((3, 4))) is None and crossed_ci(np.ones((1, 1))) is None
+
+
+@pytest.fixture(scope="module")
+def robots(population, tmp_path_factory):
+    """A run whose robot trained with the population's training part, and one that knows the body, too."""
+    root = tmp_path_factory.mktemp("robots")
+    population.save(root / "pop")
+    splits.save(splits.path_of(root / "pop", "random"), splits.split(population))
+    made = {}
+    for name, settings in (("br", {}), ("oracle", {"env.human.visibility": "oracle"})):
+        partners = (f"human={root}/pop:random/train",)
+        config = configure(
+            "scratch", {k: v for k, v in SETTINGS.items() if "human" not in k} | settings, partners=partners
+        )
+        config = dataclasses.replace(config, num_seeds=2)
+        config = dataclasses.replace(config, env=dataclasses.replace(config.env, episode_length=20))
+        made[name] = stored_run(root / name, config)
+    return root, made
+
+
+def test_a_partner_of_the_test_is_refused_in_training(robots):
+    root, made = robots
+    parts = {part: splits.named(f"{root}/pop:random/{part}")[1] for part in ("train", "test")}
+    met = parts["train"].ids[0]
+    with pytest.raises(UsageError, match=f"was trained with {met[:12]}, a partner of the test"):
+        report({"br": [made["br"]]}, parts | {"test": parts["train"]}, episodes=1)
+
+
+def test_the_report_has_everybody(robots, tmp_path):
+    root, made = robots
+    assert made["oracle"].env.observation_sizes["robot"] == made["br"].env.observation_sizes["robot"] + 4
+    out = tmp_path / "table.json"
+    words = f"br={root}/br", f"oracle={root}/oracle", "--population", f"{root}/pop", "--episodes", 2, "--out", out
+    printed = assistax_command("teamwork", "evaluate", *words).stdout
+    assert "expert" in printed and "br: coordination gap" in printed and out.with_suffix(".png").exists()
+    found = json.loads(out.read_text())
+    for part in ("train", "test"):
+        assert set(found[part]["references"]) == {"still", "random", "expert", "own"}
+        for one in found[part]["methods"].values():
+            assert len(one["return"]["by_partner"]) == len(found["partners"][part])
+            assert len(one["return"]["by_seed"]) == 2
+    assert set(found["gap"]) == {"br", "oracle"}
+
+
+@pytest.mark.slow
+def test_validity(robots):
+    root, _ = robots
+    printed = assistax_command("teamwork", "validity", f"{root}/pop", "--episodes", 1, "--sample", 2).stdout
+    assert "cross-play" in printed
