@@ -138,10 +138,10 @@ SPECS = (
         1,
         ArmAssist,
         limited(_SCENE, "forearm"),
-        ArmAssistConfig(waist_width=0.3, unsettled=0.9, settled_speed=0.1, carrying_speed=0.5),
+        ArmAssistConfig(waist_width=0.3, rotation_scale=1.0, unsettled=0.9, settled_speed=0.1, carrying_speed=0.5),
         expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
-        bound=11280,
-        preference_budget=4.512,
+        bound=13828,
+        preference_budget=5.531,
         preferences_need_help=True,
     ),
 )
