@@ -12,6 +12,7 @@ import compiled
 import numpy as np
 import pytest
 from commands import assistax
+from PIL import Image
 from safetensors.numpy import save_file
 from stored import without_pictures
 
@@ -213,3 +214,20 @@ def test_still_picture(tmp_path):
     out = tmp_path / "still.png"
     assistax("render", "scratch", "--policy", "still", "--out", out, "--width", 160, "--height", 120)
     assert out.stat().st_size > 1000
+
+
+@pytest.mark.parametrize("text", ["32", "3_2", "3.2e1"])
+def test_every_count_takes_whole_numbers_in_any_spelling(text, tmp_path):
+    out = tmp_path / "film.png"
+    counts = "--width", text, "--height", text, "--set", "env.episode_length=3"
+    assistax("render", "scratch-v0", "--policy", "still", "--plain", "--out", out, *counts)
+    with Image.open(out) as picture:
+        assert picture.size == (32, 32)
+
+
+@pytest.mark.parametrize("command", ["train", "evaluate", "render", "sweep", "table", "bench", "crossplay"])
+def test_help_has_no_noise(command, capsys):
+    with pytest.raises(SystemExit):
+        assistax(command, "--help")
+    printed = capsys.readouterr().out
+    assert "(default: )" not in printed and "(default: False)" not in printed and "STR [STR" not in printed

@@ -1,15 +1,15 @@
 """`assistax bench`."""
 
-from assistax.cli.common import Json, Task, print_json, print_table
+from assistax.cli.common import Count, Json, Switch, Task, print_json, print_table
 
 
 def bench(
     task: Task,
     *,
     engine: str = "auto",
-    num_envs: int = 1024,
+    num_envs: Count = 1024,
     seconds: float = 10.0,
-    train: bool = False,
+    train: Switch = False,
     json: Json = False,
 ) -> None:
     """Measure speed on this machine: the environment beside its bare physics engine.

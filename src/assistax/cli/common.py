@@ -13,23 +13,24 @@ from assistax.errors import UsageError, choose
 
 Task = Annotated[str, tyro.conf.Positional]
 Target = Annotated[str, tyro.conf.Positional, arg(metavar="RUN|TASK")]
-Runs = Annotated[tuple[Path, ...], tyro.conf.Positional, arg(metavar="RUN ...")]
+Runs = Annotated[tuple[Path, ...], tyro.conf.Positional, arg(metavar="RUN ...", help_behavior_hint="")]
 # Optional arguments, whose defaults the descriptions say.
 Name = Annotated[str | None, arg(metavar="NAME", help_behavior_hint="")]
 File = Annotated[Path | None, arg(metavar="PATH", help_behavior_hint="")]
-Number = Annotated[
-    int | None,
-    arg(metavar="N", help_behavior_hint=""),
-    PrimitiveConstructorSpec(
-        nargs=1,
-        metavar="N",
-        instance_from_str=lambda words: whole_number(words[0]),
-        is_instance=lambda value: value is None or isinstance(value, int),
-        str_from_instance=lambda value: [str(value)],
-    ),
-]
-Json = Annotated[bool, arg(name="json")]
-Set = Annotated[tuple[str, ...], arg(name="set", metavar="NAME=VALUE ...")]
+_WHOLE = PrimitiveConstructorSpec(
+    nargs=1,
+    metavar="N",
+    instance_from_str=lambda words: whole_number(words[0]),
+    is_instance=lambda value: value is None or isinstance(value, int),
+    str_from_instance=lambda value: [str(value)],
+)
+Number = Annotated[int | None, arg(metavar="N", help_behavior_hint=""), _WHOLE]
+Count = Annotated[int, arg(metavar="N"), _WHOLE]
+Switch = Annotated[bool, arg(help_behavior_hint="")]
+Partner = Annotated[tuple[str, ...], arg(metavar="AGENT=WHO ...", help_behavior_hint="")]
+Words = Annotated[tuple[str, ...], arg(metavar="NAME ...", help_behavior_hint="")]
+Json = Annotated[bool, arg(name="json", help_behavior_hint="")]
+Set = Annotated[tuple[str, ...], arg(name="set", metavar="NAME=VALUE ...", help_behavior_hint="")]
 
 
 def whole_number(text: str) -> int:

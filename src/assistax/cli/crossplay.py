@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from assistax.cli.common import File, Json, Name, Number, Set, aligned, print_json, teams_of
+from assistax.cli.common import Count, File, Json, Name, Number, Set, aligned, print_json, teams_of
 from assistax.errors import UsageError
 
 Targets = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN|TASK|POLICY ...")]
@@ -14,7 +14,7 @@ Targets = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar
 def crossplay(
     targets: Targets,
     *,
-    episodes: int = 64,
+    episodes: Count = 64,
     engine: Name = None,
     seed: Number = None,
     set: Set = (),

@@ -1,14 +1,14 @@
 """`assistax evaluate`."""
 
-from assistax.cli.common import Json, Name, Number, Set, Target, print_json, print_table, teams_of
+from assistax.cli.common import Count, Json, Name, Number, Partner, Set, Target, print_json, print_table, teams_of
 
 
 def evaluate(
     target: Target,
     *,
     policy: Name = None,
-    partner: tuple[str, ...] = (),
-    episodes: int = 64,
+    partner: Partner = (),
+    episodes: Count = 64,
     engine: Name = None,
     seed: Number = None,
     set: Set = (),

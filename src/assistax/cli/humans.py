@@ -1,9 +1,9 @@
 """`assistax humans`."""
 
-from assistax.cli.common import Json, Name, print_json
+from assistax.cli.common import Count, Json, Name, print_json
 
 
-def humans(*, people: Name = None, seed: int = 0, json: Json = False) -> None:
+def humans(*, people: Name = None, seed: Count = 0, json: Json = False) -> None:
     """Say who the person can be: the seven standard disabilities, and a preference as a sentence.
 
     Any of them can be trained with or evaluated on:

@@ -2,17 +2,17 @@
 
 import sys
 
-from assistax.cli.common import File, Name, Set, Task, film_episode, film_path, teams_of
+from assistax.cli.common import Count, File, Name, Set, Switch, Task, film_episode, film_path, teams_of
 
 
 def play(
     task: Task,
     *,
-    episodes: int = 16,
+    episodes: Count = 16,
     out: File = None,
     engine: Name = None,
     set: Set = (),
-    plain: bool = False,
+    plain: Switch = False,
 ) -> None:
     """See the trained team that comes with a task: how it does, and a film of it.
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from assistax.cli.common import File, Name, Number, Set
+from assistax.cli.common import File, Name, Number, Set, Switch
 from assistax.errors import UsageError
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POP")]
@@ -75,7 +75,7 @@ def train(
         print(f"{len(made)} members of {made.task} in {folder}")
 
 
-def make(folder: Folder, runs: Others, *, habits: bool = False) -> None:
+def make(folder: Folder, runs: Others, *, habits: Switch = False) -> None:
     """Gather finished runs, each trained with one person, into a population; every seed is a member.
 
     For example:

@@ -1,6 +1,18 @@
 """`assistax render`."""
 
-from assistax.cli.common import File, Name, Number, Set, Target, film_episode, film_path, teams_of
+from assistax.cli.common import (
+    Count,
+    File,
+    Name,
+    Number,
+    Partner,
+    Set,
+    Switch,
+    Target,
+    film_episode,
+    film_path,
+    teams_of,
+)
 
 
 def render(
@@ -8,14 +20,14 @@ def render(
     *,
     out: File = None,
     policy: Name = None,
-    partner: tuple[str, ...] = (),
+    partner: Partner = (),
     engine: Name = None,
     seed: Number = None,
     set: Set = (),
-    width: int = 640,
-    height: int = 480,
+    width: Count = 640,
+    height: Count = 480,
     view: str = "auto",
-    plain: bool = False,
+    plain: Switch = False,
 ) -> None:
     """Film one episode.
 

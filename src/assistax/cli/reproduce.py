@@ -3,11 +3,11 @@
 import re
 from pathlib import Path
 
-from assistax.cli.common import Name
+from assistax.cli.common import Count, Name
 from assistax.errors import UsageError
 
 
-def reproduce(*, budget: Name = None, only: Name = None, seeds: int = 1) -> None:
+def reproduce(*, budget: Name = None, only: Name = None, seeds: Count = 1) -> None:
     """List the experiments behind the results and how far they are; with a budget, continue them.
 
     What is finished goes to results/; unfinished runs wait in runs/reproduce/ for the next time.

@@ -5,18 +5,20 @@ from typing import Annotated, Any
 
 import tyro
 
-from assistax.cli.common import File, Name, Number, Set, free_folder
+from assistax.cli.common import File, Name, Number, Partner, Set, Switch, free_folder
 from assistax.errors import UsageError
 
-Search = Annotated[tuple[str, ...], tyro.conf.arg(name="search", metavar="NAME=LOW:HIGH|A,B ...")]
+Search = Annotated[
+    tuple[str, ...], tyro.conf.arg(name="search", metavar="NAME=LOW:HIGH|A,B ...", help_behavior_hint="")
+]
 
 
 def sweep(
     task: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="TASK", help_behavior_hint="")] = None,
     *,
     algorithm: Name = None,
-    recurrent: bool = False,
-    share_parameters: bool = False,
+    recurrent: Switch = False,
+    share_parameters: Switch = False,
     configs: Number = None,
     seeds: Number = None,
     steps: Number = None,
@@ -24,7 +26,7 @@ def sweep(
     seed: Number = None,
     engine: Name = None,
     preset: Name = None,
-    partner: tuple[str, ...] = (),
+    partner: Partner = (),
     search: Search = (),
     set: Set = (),
     out: File = None,

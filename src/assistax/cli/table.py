@@ -1,10 +1,10 @@
 """`assistax table`."""
 
-from assistax.cli.common import Json, Runs, aligned, print_json
+from assistax.cli.common import Json, Runs, Switch, aligned, print_json
 from assistax.errors import UsageError
 
 
-def table(runs: Runs = (), *, compare: bool = False, markdown: bool = False, json: Json = False) -> None:
+def table(runs: Runs = (), *, compare: Switch = False, markdown: Switch = False, json: Json = False) -> None:
     """Tabulate the results of finished runs, with 95 % intervals over their seeds.
 
     Runs that differ in nothing but seeds are one row. Below it, for each algorithm with several tasks, the

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from assistax.cli.common import File, Number, aligned
+from assistax.cli.common import Count, File, Number, aligned
 from assistax.errors import UsageError
 
 Methods = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME=]RUN[,RUN] ...")]
@@ -17,7 +17,7 @@ def evaluate(
     population: Annotated[Path, tyro.conf.arg(metavar="POP")],
     split: str = "random",
     part: str = "test",
-    episodes: int = 16,
+    episodes: Count = 16,
     best_responses: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN ...")] = (),
     out: File = None,
 ) -> None:
@@ -71,7 +71,7 @@ def validity(
     population: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POP")],
     *,
     sample: Number = None,
-    episodes: int = 8,
+    episodes: Count = 8,
     out: File = None,
 ) -> None:
     """Ask whether partners matter in a task: what robots lose when they meet each other's people.

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from assistax.cli.common import File, Name, Number, Set, free_folder
+from assistax.cli.common import File, Name, Number, Partner, Set, Switch, Words, free_folder
 from assistax.errors import UsageError
 
 
@@ -14,18 +14,18 @@ def train(
     task: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="TASK", help_behavior_hint="")] = None,
     *,
     algorithm: Name = None,
-    recurrent: bool = False,
-    share_parameters: bool = False,
+    recurrent: Switch = False,
+    share_parameters: Switch = False,
     steps: Number = None,
     num_envs: Number = None,
     seed: Number = None,
     num_seeds: Number = None,
     engine: Name = None,
     preset: Name = None,
-    partner: tuple[str, ...] = (),
+    partner: Partner = (),
     out: File = None,
     set: Set = (),
-    log: tuple[str, ...] = (),
+    log: Words = (),
     resume: File = None,
 ) -> None:
     """Train robot and human together, then evaluate and film them.

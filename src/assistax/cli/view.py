@@ -2,7 +2,7 @@
 
 import sys
 
-from assistax.cli.common import File, Name, Number, Set, Target, teams_of
+from assistax.cli.common import Count, File, Name, Number, Set, Switch, Target, teams_of
 
 
 def view(
@@ -12,10 +12,10 @@ def view(
     engine: Name = None,
     seed: Number = None,
     set: Set = (),
-    port: int = 8080,
+    port: Count = 8080,
     host: str = "127.0.0.1",
     html: File = None,
-    native: bool = False,
+    native: Switch = False,
 ) -> None:
     """Watch episodes live in the browser, and push the person or the robot.
 

@@ -38,8 +38,9 @@ def validity_of(
       seed: of the draws.
 
     Returns:
-      ready for JSON: "ids"; by measure "matrix" [robot][person], "self_play" and "cross_play" means, and what is "lost"
-      from one to the other, as a fraction (of the return above a still robot's); "valid", and "why" not.
+      ready for JSON: "ids"; by measure "matrix", a row for each robot and a column for each person, "self_play" and
+      "cross_play" means, and what is "lost" from one to the other, as a fraction (of the return above a still robot's);
+      "valid", and "why" not.
     """
     with_robots = [row["id"] for row in population.rows if row["robot"]]
     if sample is not None and sample < len(with_robots):

@@ -86,7 +86,7 @@ class TrainConfig:
 # What is asked for with a flag of its own, and with which: a setting by that name would be a label that says nothing.
 FLAGS = {"task": "the task's name in front", "partners": "--partner"}
 FLAGS |= {name: f"--{name.replace('_', '-')}" for name in ("algorithm", "preset", "engine", "steps", "num_envs")}
-FLAGS |= {"seed": "--seed", "num_seeds": "--num-seeds"}
+FLAGS |= {"seed": "--seed", "num_seeds": "--num-seeds (in `assistax sweep` and `population train` by --seeds)"}
 
 
 def check_settings(settings: Iterable[str]) -> None:
