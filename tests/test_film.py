@@ -1,5 +1,9 @@
 """Films: what they show beside bodies and target, and that it can be seen."""
 
+import os
+import subprocess
+import sys
+
 import jax
 import numpy as np
 import pytest
@@ -152,3 +156,11 @@ def test_the_targets_of_a_scene_are_in_the_view():
         for name in cam.targets:
             x, y = cam.pixel(cam.data.site(name).xpos)
             assert 0 < x < SIZE["width"] and 0 < y < 0.85 * SIZE["height"]
+
+
+def test_mujoco_imported_first_is_one_line():
+    code = "import mujoco, assistax\nfrom assistax.evaluation.film import Camera\nCamera('scratch-v0')"
+    env = {k: v for k, v in os.environ.items() if k not in ("MUJOCO_GL", "DISPLAY")}
+    found = subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True)
+    assert "UsageError: Cannot render here: mujoco was imported before assistax" in found.stderr
+    assert "GLContext" not in found.stderr

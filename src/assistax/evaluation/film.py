@@ -1,6 +1,7 @@
 """Pictures and films of a scene."""
 
 import atexit
+import os
 import warnings
 from collections.abc import Iterable
 from pathlib import Path
@@ -32,6 +33,7 @@ class Camera(Stage):
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
         self.view: str | mujoco.MjvCamera = view
         self.width, self.height = width, height
+        _check_backend()
         try:
             self._renderer = mujoco.Renderer(self.model, height, width)
         except Exception as error:  # every OpenGL backend fails with an error of its own
@@ -128,3 +130,13 @@ def film(filmed: Filmed, path: Path, plain: bool = False, view: str = "auto", **
             video.write(frames, fps=rate, macro_block_size=1)
         content = file.read_bytes()
     write_atomically(path, content)
+
+
+def _check_backend() -> None:
+    """Raise UsageError if MuJoCo was imported before the package could say how to render without a display."""
+    chosen = getattr(mujoco, "GLContext", None)
+    if os.environ.get("MUJOCO_GL") == "egl" and chosen is not None and "glfw" in chosen.__module__:
+        raise UsageError(
+            "Cannot render here: mujoco was imported before assistax, and looks for a display. Import assistax first, "
+            "or set MUJOCO_GL=egl before Python starts."
+        )
