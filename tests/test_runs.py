@@ -135,7 +135,7 @@ def test_a_team_file_plays_as_its_run(evaluated, tmp_path):
             one.policy.act(one.member(0), one.policy.initial_carry(), obs[agent], yes, jax.random.key(0))[0]
             for one in (player, team[agent])
         ]
-        np.testing.assert_allclose(*actions, rtol=0.02, atol=1e-5)  # weights in half precision
+        np.testing.assert_allclose(*actions, rtol=0.02, atol=1e-4)  # weights in half precision
         assert np.abs(actions[0]).max() > 1e-3
     with pytest.raises(UsageError, match="is a checkpoint, not a team"):
         load_team(run.newest_checkpoint())
@@ -160,7 +160,7 @@ def test_a_partner_comes_from_a_run(evaluated, tmp_path):
     [
         ("dog=still", "Unknown agent 'dog'"),
         ("human", "AGENT=WHO"),
-        ("human=expert", "Known: still, random, offer, offer_slowly, withdraw. Or name a run folder"),
+        ("human=expert", "Known: still, random, offer, offer_slowly, withdraw. Or name a habit, a run folder"),
         ("human=still,robot=still", "leave one to learn"),
     ],
 )

@@ -25,7 +25,13 @@ from assistax.training.sweep import Program, Sweep, outcome, rank
 from assistax.training.sweep_figures import facets, overview
 
 ENVS, STEPS = 8, 5 * 8 * 10  # five iterations
-SMALL = {"ppo.hidden": (8,), "ppo.num_steps": 10, "ppo.update_epochs": 2, "ppo.num_minibatches": 2}
+SMALL = {
+    "ppo.cost_limit": None,
+    "ppo.hidden": (8,),
+    "ppo.num_steps": 10,
+    "ppo.update_epochs": 2,
+    "ppo.num_minibatches": 2,
+}
 SEARCHED = {"ppo.learning_rate": "1e-3:1e-1", "ppo.gamma": "0.5,0.9"}
 SAC_SMALL = {"sac.hidden": (8,), "sac.num_steps": 10, "sac.updates": 4, "sac.batch_size": 32, "sac.warmup": 80}
 SAC_SEARCHED = {"sac.actor_learning_rate": "1e-3:1e-1", "sac.tau": "1e-3:1e-1"}

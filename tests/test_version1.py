@@ -223,7 +223,7 @@ def test_a_third_of_the_arm_is_dirty_on_a_side_that_the_reset_draws_and_the_rest
     assert after.visited.sum() - state.visited.sum() == (after.visited & dirty[0]).sum()
     washed = dataclasses.replace(state, visited=jnp.ones(52, bool), newly=jnp.int32(dirty[0].sum()))
     terms = env.task.reward_terms({k: jnp.asarray(x[0], jnp.float32) for k, x in s.items()}, washed)
-    assert terms["wipe"] == pytest.approx(156.0)  # whatever was dirty: the paper's bound stays
+    assert terms["wipe"] == pytest.approx(624.0)  # whatever was dirty
     assert env.task.success(washed)
 
 

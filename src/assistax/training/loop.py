@@ -57,7 +57,9 @@ def train(
 class _Training:
     """One process's work on a run."""
 
-    def __init__(self, run: Run, stop: Stop, log: Sequence[str], bar: Callable, pictures: bool):
+    def __init__(
+        self, run: Run, stop: Stop, log: Sequence[str] = (), bar: Callable = progress_bar, pictures: bool = True
+    ):
         self.run, self.stop, self.log, self.bar, self.pictures = run, stop, log, bar, pictures
         self.trainer, self.seeds, self.engine = run.trainer, run.seeds, run.env.engine
         self.evaluator = Evaluator(run.env, run.config.evaluation_episodes)
