@@ -144,7 +144,7 @@ TASKS = {
                 lambda c, steps: steps * c.waist_scale * 1.0,
             ),
             "rotation": Term(
-                "{c.rotation_scale:g} · (2√2 − ‖R_hook − R_wrist‖_F)",
+                "{c.rotation_scale:g} · (2√2 − ‖R_hook − R_wrist‖_F) · exp(−d²/σ)",
                 lambda c, steps: steps * c.rotation_scale * 2.0 * 2.0**0.5,
             ),
         },

@@ -24,6 +24,7 @@ class ArmAssistConfig:
     waist_scale: float = 10.0  # of the waist term
     waist_width: float = 0.1  # m, from the waist, within which most of the waist term is paid
     rotation_scale: float = 0.1  # of the rotation term
+    rotation_near: bool = False  # whether the rotation term pays only near the forearm, as far as the reach term does
     unsettled: float = 1.0  # of the waist term is paid at the waist while the forearm moves, or was thrown there
     # What counts as brought back, and for how long in all it must last to be a success.
     waist_distance: float = 0.10  # m
@@ -76,10 +77,12 @@ class ArmAssist:
         c = self.config
         restless = self.helping(s, state) & (state.thrown | (self._speed(s) > c.settled_speed))
         paid = jnp.where(restless, c.unsettled, 1.0)
+        near = reach(norm(s["wrist_target_pos"] - s["tool_pos"]))
+        turned = c.rotation_scale * rotation(self._rotation(s))
         return {
-            "reach": reach(norm(s["wrist_target_pos"] - s["tool_pos"])),
+            "reach": near,
             "waist": c.waist_scale * paid * waist(norm(s["waist_target_pos"] - s["wrist_target_pos"]), c.waist_width),
-            "rotation": c.rotation_scale * rotation(self._rotation(s)),
+            "rotation": turned * near if c.rotation_near else turned,
         }
 
     def advance(self, s: Sensors, state: ArmAssistState) -> ArmAssistState:
@@ -138,7 +141,14 @@ SPECS = (
         1,
         ArmAssist,
         limited(_SCENE, "forearm"),
-        ArmAssistConfig(waist_width=0.3, rotation_scale=1.0, unsettled=0.9, settled_speed=0.1, carrying_speed=0.5),
+        ArmAssistConfig(
+            waist_width=0.3,
+            rotation_scale=1.0,
+            rotation_near=True,
+            unsettled=0.9,
+            settled_speed=0.1,
+            carrying_speed=0.5,
+        ),
         expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
         bound=13828,
         preference_budget=5.531,
