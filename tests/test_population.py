@@ -21,7 +21,7 @@ from assistax.policies import Player, scripted_policy
 from assistax.teamwork.gather import gather
 from assistax.teamwork.plan import Plan
 from assistax.teamwork.plan import train as train_plan
-from assistax.training import loop, splits
+from assistax.training import journal, loop, splits
 from assistax.training.configuration import configure
 from assistax.training.partners import find_partner
 from assistax.training.population import Population
@@ -126,7 +126,7 @@ def test_members_that_are_swapped_are_found_out(folder):
 
 
 def test_a_selection_is_a_population(population):
-    some = population.select([population.ids[4], population.ids[1]])
+    some = population.select([population.ids[4], population.ids[3]])
     assert [row["person"]["disability"] for row in some.rows] == ["tremor=0.2", "tremor"]
     jax.tree.map(np.testing.assert_array_equal, some.member(some[0]), population.member(population[4]))
     assert some.partner().members == 2
@@ -306,7 +306,7 @@ def test_a_population_is_a_partner_by_name(teams, tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory):
     people = Person("none", "default"), Person("tremor", "default")
-    return Plan("scratch", people, steps=128, num_envs=8, settings=SMALL)
+    return Plan("scratch", people, steps=256, num_envs=8, settings=SMALL | {"evaluations": 4})
 
 
 @pytest.fixture(scope="module")
@@ -318,7 +318,7 @@ def in_one_go(plan, tmp_path_factory):
 
 def test_a_plan_in_shards_with_interruptions_is_the_plan_in_one_go(plan, in_one_go, tmp_path, monkeypatch):
     _, whole = in_one_go
-    assert len(set(whole.ids)) == 2
+    assert len(set(whole.ids)) == 6 and [row.get("fraction") for row in whole.rows[:3]] == [None, 0.333, 0.667]
     folder = tmp_path / "pop"
     plan.save(folder)
     assert train_plan(folder, (2, 2)) is None  # the other shard has not begun
@@ -345,11 +345,29 @@ def test_a_plan_in_shards_with_interruptions_is_the_plan_in_one_go(plan, in_one_
 def test_a_member_plays_as_in_its_run(in_one_go):
     folder, population = in_one_go
     run = Run.open(folder / "runs/0001-ippo-0")
-    assert population[1]["person"]["disability"] == "tremor"
-    one = population.select([population.ids[1]])
+    assert population[3]["person"]["disability"] == "tremor"
+    one = population.select([population.ids[3]])
     team = {agent: one.partner(agent, deterministic=True) for agent in ("robot", "human")}
     report = summarize(Evaluator(run.env, 3)(team))
-    assert report["mean_return"] == pytest.approx(population[1]["mean_return"], rel=0.01)
+    assert report["mean_return"] == pytest.approx(population[3]["mean_return"], rel=0.01)
+
+
+def test_earlier_selves_are_as_good_as_they_were_and_go_with_their_members(in_one_go):
+    folder, population = in_one_go
+    run = Run.open(folder / "runs/0000-ippo-0")
+    rows = [row for row in journal.read(run.folder, "evaluations")]
+    for row in population.rows[1:3]:
+        assert 0 < row["steps"] < 256 and row["person"]["disability"] == "none"
+        then = next(one for one in rows if one["steps"] == row["steps"])
+        assert row["mean_return"] == pytest.approx(np.mean(then["episodes"]["return"]))
+        one = population.select([row["id"]])
+        team = {agent: one.partner(agent, deterministic=True) for agent in ("robot", "human")}
+        assert summarize(Evaluator(run.env, 3)(team))["mean_return"] == pytest.approx(row["mean_return"], rel=0.01)
+    parts = splits.split(population, "disability")
+    assert sorted(len(ids) for ids in parts.values()) == [0, 1, 1]
+    splits.save(splits.path_of(folder, "disability"), parts)
+    _, fcp = splits.named(f"{folder}:disability/train+earlier")
+    assert len(fcp) == 3 and len({row["person"]["disability"] for row in fcp.rows}) == 1
 
 
 def test_another_plan_is_refused(plan, in_one_go, tmp_path):

@@ -3,15 +3,22 @@
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+
 from assistax.errors import UsageError
 from assistax.files import read_json
 from assistax.formats import SUMMARY
+from assistax.training import journal
 from assistax.training.population import Population
 from assistax.training.run import Run
 
+FRACTIONS = (1 / 3, 2 / 3)
+
 
 def gather(runs: Iterable[Run]) -> Population:
-    """The finished runs' teams, a member for every seed; each was trained with one person of its own.
+    """The finished runs' teams, a member for every seed, and earlier ones that the runs have kept.
+
+    Each run was trained with one person of its own.
 
     Raises UsageError for a run that is not finished, or was trained with people drawn afresh.
     """
@@ -21,9 +28,37 @@ def gather(runs: Iterable[Run]) -> Population:
         for seed, team, report in zip(run.seeds.seeds, run.teams(), summary["evaluation"], strict=True):
             row: dict[str, Any] = {"task": run.config.task, "algorithm": run.config.algorithm}
             row |= {"seed": seed, "steps": summary["steps"], "person": person, "robot": True}
-            row |= {k: report[k] for k in ("mean_return", "success_rate", "safe_success_rate") if k in report}
-            teams.append((row, team))
+            final = row | {k: report[k] for k in ("mean_return", "success_rate", "safe_success_rate") if k in report}
+            teams.append((final, team))
+            teams += _earlier(run, row, final)
     return Population.of_teams(teams)
+
+
+def _earlier(run: Run, row: dict[str, Any], final: dict[str, Any]) -> list[tuple[dict[str, Any], Any]]:
+    """Of the snapshots that a run has kept, those nearest to FRACTIONS of its final success, or return if it has none.
+
+    As in fictitious co-play (Strouse et al. 2021): partners who are not yet good belong to those one may meet.
+    """
+    index = list(run.seeds.seeds).index(row["seed"])
+    found: list[dict[str, Any]] = []
+    for one in journal.read(run.folder, "evaluations"):
+        if one["seed"] != row["seed"] or one["steps"] >= final["steps"]:
+            continue
+        means = {
+            k: float(np.mean(one["episodes"][k])) for k in ("return", "success", "safe_success") if k in one["episodes"]
+        }
+        reached = {f"{k}_rate": x for k, x in means.items() if k != "return"}
+        found.append({"steps": one["steps"], "mean_return": means["return"]} | reached)
+    by = "success_rate" if final["success_rate"] > 0 else "mean_return"
+    teams, taken = [], set()
+    for fraction in FRACTIONS:
+        kept = [one for one in found if one["steps"] not in taken]
+        for one in sorted(kept, key=lambda one: abs(one[by] - fraction * final[by])):
+            if earlier := run.earlier_teams(one["steps"]):
+                taken.add(one["steps"])
+                teams.append((row | one | {"fraction": round(fraction, 3)}, earlier[index]))
+                break
+    return teams
 
 
 def one_person(run: Run) -> dict[str, str]:

@@ -57,12 +57,9 @@ class Plan:
             for algorithm in self.algorithms:
                 for seed in range(self.seeds):
                     name = f"{i:04d}-{algorithm}-{seed}"
-                    yield (
-                        name,
-                        configure(
-                            self.task, dict(self.settings) | who, algorithm=algorithm, seed=seed, steps=self.steps
-                        ),
-                    )
+                    settings = {"snapshots": True} | dict(self.settings) | who
+                    choices = {"algorithm": algorithm, "seed": seed, "steps": self.steps, "num_envs": self.num_envs}
+                    yield name, configure(self.task, settings, **choices)
 
     def save(self, folder: Path) -> None:
         """Begin a population in a folder, or find the same plan there."""

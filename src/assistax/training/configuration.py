@@ -36,6 +36,7 @@ class TrainConfig:
     evaluations: int = 10  # how many, evenly over the training; there is always one at its end
     evaluation_episodes: int = 64  # of each evaluation
     deterministic: bool = True  # evaluate the mean action, not a sample
+    snapshots: bool = False  # keep the policies of every evaluation, as earlier selves of partners
     env: EnvConfig = field(default_factory=EnvConfig)
     task_config: Any = None
     method: Any = None  # the algorithm's settings, in files and --set under its group's name ("ppo.gamma")

@@ -26,12 +26,21 @@ from assistax.training.journal import Journal
 from assistax.training.lock import locked
 from assistax.training.loggers import Told, check_loggers
 from assistax.training.run import Run
-from assistax.training.run_folder import check_checkpoint
+from assistax.training.run_folder import check_checkpoint, save_snapshot
 
 CHECKPOINT_SECONDS = 60.0
 _COMPILING = "Compiling, which takes some ten seconds."
 # Settings that may change while a run goes on: how long it lasts, how it is watched, what computes it.
-_FREE = {"steps", "evaluations", "evaluation_episodes", "deterministic", "engine", "env.num_threads", "partners"}
+_FREE = {
+    "steps",
+    "evaluations",
+    "evaluation_episodes",
+    "deterministic",
+    "snapshots",
+    "engine",
+    "env.num_threads",
+    "partners",
+}
 
 
 def train(
@@ -185,6 +194,9 @@ class _Training:
         steps = done * self.run.steps_per_iteration
         there = {row["seed"] for row in journal.read(self.run.folder, "evaluations") if row["steps"] == steps}
         with self.clock("evaluation"):
+            if self.run.config.snapshots:
+                policies = [self.trainer.policy_params(one) for one in self.seeds.each(state)]
+                save_snapshot(self.run.folder, steps, policies)
             self._evaluate(done, map(self.run.team, self.seeds.each(state)), there)
 
     def _evaluate(self, done: int, teams: Iterable[Team], there: Container[int] = ()) -> list[dict[str, Any]]:

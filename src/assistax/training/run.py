@@ -25,7 +25,7 @@ from assistax.stamp import stamp_changes
 from assistax.training.configuration import TrainConfig, check_settings, to_json
 from assistax.training.memory import check_memory
 from assistax.training.partners import GIVEN, find_partners, keep_partners
-from assistax.training.run_folder import learned, newest_checkpoint, read_config
+from assistax.training.run_folder import learned, newest_checkpoint, read_config, snapshot
 from assistax.training.seeds import Seeds
 
 
@@ -123,3 +123,9 @@ class Run:
         """The policies of each seed, from the newest checkpoint."""
         params = learned(self.folder, self.config, self.trainer)
         return [self._team(mine, deterministic) for mine in params]
+
+    def earlier_teams(self, steps: int, deterministic: bool | None = None) -> list[Team]:
+        """The policies of each seed as they were at an evaluation; [] if none were kept there, see `snapshots`."""
+        return [
+            self._team(mine, deterministic) for mine in snapshot(self.folder, steps, self.config, self.trainer) or []
+        ]

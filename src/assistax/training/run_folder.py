@@ -10,9 +10,10 @@ from assistax.errors import UsageError
 from assistax.files import read_json
 from assistax.formats import CHECKPOINT, CONFIG
 from assistax.tasks import stored_task
-from assistax.training.checkpoint import load_checkpoint, read_metadata
+from assistax.training.checkpoint import EVERYTHING, load_checkpoint, read_metadata, save_checkpoint
 from assistax.training.configuration import TrainConfig, stored_config
 from assistax.training.seeds import Seeds
+from assistax.training.team_file import params_like
 
 
 def read_config(folder: Path) -> TrainConfig:
@@ -47,3 +48,21 @@ def learned(folder: Path, config: TrainConfig, trainer: Any) -> list[dict[str, A
     parts = {name: load_checkpoint(path, getattr(like, name), f".{name}") for name in ("params", "normalizer")}
     states = [jax.tree.map(lambda x, i=i: x[i], parts) for i in range(config.num_seeds)]
     return [trainer.policy_params(dataclasses.replace(like, **state)) for state in states]
+
+
+def save_snapshot(folder: Path, steps: int, policies: list[dict[str, Any]]) -> None:
+    """Keep what the seeds know at this step, parameters of `trainer.policy()` by learner."""
+    path = folder / "snapshots" / f"step_{steps:012d}.safetensors"
+    path.parent.mkdir(exist_ok=True)
+    save_checkpoint(path, jax.tree.map(lambda *seeds: jax.numpy.stack(seeds), *policies), {"steps": steps})
+
+
+def snapshot(folder: Path, steps: int, config: TrainConfig, trainer: Any) -> list[dict[str, Any]] | None:
+    """What `save_snapshot` kept, by seed and learner; None where nothing was kept at this step."""
+    path = folder / "snapshots" / f"step_{steps:012d}.safetensors"
+    if not path.exists():
+        return None
+    seeds = config.num_seeds
+    like = jax.tree.map(lambda x: jax.ShapeDtypeStruct((seeds, *x.shape), x.dtype), params_like(trainer))
+    stacked = load_checkpoint(path, like, finite=EVERYTHING)
+    return [jax.tree.map(lambda x, i=i: x[i], stacked) for i in range(seeds)]

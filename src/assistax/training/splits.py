@@ -17,6 +17,8 @@ from assistax.training.population import Population
 Split = dict[str, list[str]]
 """Ids by "train", "val" and "test"."""
 
+EARLIER = "+earlier"  # behind a part's name: with earlier selves
+
 EXTREME = 5  # members of the paper's split: those with the highest weight on speed
 
 
@@ -86,8 +88,9 @@ KINDS: dict[str, Callable[[Population, np.random.Generator], Split]] = {
 
 
 def split(population: Population, kind: str = "random", seed: int = 0) -> Split:
-    """A split of a kind in KINDS; the same whatever the order of the members."""
-    return check(population, KINDS[choose("kind", kind, KINDS)](population, np.random.default_rng(seed)))
+    """A split of a kind in KINDS; the same whatever the order of the members. Earlier selves are in no part."""
+    final = population.select([row["id"] for row in population.rows if "fraction" not in row])
+    return check(population, KINDS[choose("kind", kind, KINDS)](final, np.random.default_rng(seed)))
 
 
 def check(population: Population, parts: Split) -> Split:
@@ -120,6 +123,8 @@ def load(path: Path, population: Population) -> Split:
 def named(text: str) -> tuple[Path, Population]:
     """The folder and the members that "POP" or "POP:KIND/PART" names, for example "populations/scratch:random/test".
 
+    "POP:random/train+earlier" names the earlier selves of the part's members, too.
+
     Raises UsageError where there is no such population, split or part.
     """
     folder, colon, part = text.rpartition(":") if ":" in text else (text, "", "")
@@ -135,10 +140,23 @@ def named(text: str) -> tuple[Path, Population]:
             f"{'the splits ' + ', '.join(there) if there else 'no splits; make one with `assistax population split`'}."
         )
     parts = load(path, population)
+    part, more, _ = part.partition(EARLIER)
     ids = parts[choose("part", part, parts)]
     if not ids:
         raise UsageError(f"The part {part} of {path} is empty.")
-    return Path(folder), population.select(ids)
+    chosen = population.select(ids)
+    return Path(folder), with_earlier(population, chosen) if more else chosen
+
+
+def with_earlier(population: Population, chosen: Population) -> Population:
+    """`chosen`, and the earlier selves that its members have in `population`: the partners of fictitious co-play."""
+
+    def who(row):
+        return tuple(row["person"].values()), row["algorithm"], row["seed"]
+
+    mine = {who(row) for row in chosen.rows}
+    earlier = [row["id"] for row in population.rows if "fraction" in row and who(row) in mine]
+    return population.select([*chosen.ids, *earlier])
 
 
 def _shares(ids: list[str]) -> Split:
