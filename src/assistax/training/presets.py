@@ -101,8 +101,12 @@ _OURS = {
 _HELPING = {
     "learning_rate": 7e-4,  # no KL of an iteration came near desired_kl with half of it
     "final_log_std": -3.0,  # 0.05, after three quarters of a run: the noise shall not do what the robot should
-    "cost_limit": 5.0,  # an episode's; a scripted robot that helps has 0.1 (scratch) to 3.8 (bed bath)
+    "cost_limit": 2.0,  # of an episode, on average
 }
+_CONTACT = {
+    "bed_bath": {"cost_limit": 5.0},
+    "arm_assist": {"cost_limit": 5.0},
+}  # a robot that helps well has 3.8 and 2.1
 # The same for SAC.
 _OUR_SAC = {
     "actor_learning_rate": 3e-4,
@@ -136,10 +140,10 @@ def preset(name: str, algorithm: str, task: str, recurrent: bool = False) -> dic
         return {}
     if row not in rows:
         raise UsageError(f"The preset {name!r} has no settings for {algorithm}{' with a GRU' * recurrent}.")
-    if name == "default":
-        helping = _HELPING if "sac" not in row and not task.endswith("-v0") else {}
-        return dict(next(iter(rows[row].values()))) | helping
     bare = task.partition("-v")[0]  # versions of a task share its row
+    if name == "default":
+        helping = _HELPING | _CONTACT.get(bare, {}) if "sac" not in row and not task.endswith("-v0") else {}
+        return dict(next(iter(rows[row].values()))) | helping
     if bare not in rows[row]:
         raise UsageError(f"The preset {name!r} has no settings for {bare!r}; it has {', '.join(rows[row])}.")
     return dict(rows[row][bare])
