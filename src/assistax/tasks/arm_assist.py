@@ -16,7 +16,7 @@ from assistax.pytree import pytree
 from assistax.scenes import RIGHT_ARM, SceneConfig, geometry, limited
 from assistax.tasks.base import Sensors, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import norm, reach, rotation, waist
+from assistax.tasks.rewards import LEVEL, norm, proximity, reach, rotation, waist
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,9 @@ class ArmAssistConfig:
     waist_scale: float = 10.0  # of the waist term
     waist_width: float = 0.1  # m, from the waist, within which most of the waist term is paid
     rotation_scale: float = 0.1  # of the rotation term
-    rotation_near: bool = False  # whether the rotation term pays only near the forearm, as far as the reach term does
+    # How far behind the forearm, as one looks at it from the waist, the hook is to be while it turns, in m: the rotation
+    # term pays near that place only, by the proximity of the feeding terms. None: everywhere.
+    behind: float | None = None
     unsettled: float = 1.0  # of the waist term is paid at the waist while the forearm moves, or was thrown there
     # What counts as brought back, and for how long in all it must last to be a success.
     waist_distance: float = 0.10  # m
@@ -77,12 +79,15 @@ class ArmAssist:
         c = self.config
         restless = self.helping(s, state) & (state.thrown | (self._speed(s) > c.settled_speed))
         paid = jnp.where(restless, c.unsettled, 1.0)
-        near = reach(norm(s["wrist_target_pos"] - s["tool_pos"]))
+        to_wrist = s["wrist_target_pos"] - s["tool_pos"]
         turned = c.rotation_scale * rotation(self._rotation(s))
+        if c.behind is not None:
+            way = geometry.unit((s["waist_target_pos"] - s["wrist_target_pos"]) * LEVEL)
+            turned *= proximity(norm(to_wrist - c.behind * way))
         return {
-            "reach": near,
+            "reach": reach(norm(to_wrist)),
             "waist": c.waist_scale * paid * waist(norm(s["waist_target_pos"] - s["wrist_target_pos"]), c.waist_width),
-            "rotation": turned * near if c.rotation_near else turned,
+            "rotation": turned,
         }
 
     def advance(self, s: Sensors, state: ArmAssistState) -> ArmAssistState:
@@ -144,7 +149,7 @@ SPECS = (
         ArmAssistConfig(
             waist_width=0.3,
             rotation_scale=1.0,
-            rotation_near=True,
+            behind=0.06,
             unsettled=0.9,
             settled_speed=0.1,
             carrying_speed=0.5,
