@@ -149,8 +149,9 @@ TASKS = {
             ),
         },
         "d: distance from the tool point to the middle of the forearm (m); d_H: distance from there to the waist "
-        "target (m); σ = {r.SIGMA:g} m²; R: orientations as matrices; p: exp(−{r.PROXIMITY:g}·d_b²), d_b the distance from the tool "
-        "point to {c.behind:g} m behind the forearm, as one looks at it from the waist; paid: {c.unsettled:g} while the "
+        "target (m); σ = {r.SIGMA:g} m²; R: orientations as matrices; p: exp(−{r.PROXIMITY:g}·d_b²), d_b the distance "
+        "from the tool point to {c.behind:g} m behind the forearm, as one looks at it from the waist; paid: "
+        "{c.unsettled:g} while the "
         "forearm is at the waist but faster than {c.settled_speed:g} m/s, or was thrown there, and otherwise 1",
         "the middle of the forearm is within {c.waist_distance:g} m of the waist target",
         "{c.success_seconds:g} s in all in which it helps and the forearm is slower than {c.settled_speed:g} m/s, "

@@ -24,8 +24,8 @@ class ArmAssistConfig:
     waist_scale: float = 10.0  # of the waist term
     waist_width: float = 0.1  # m, from the waist, within which most of the waist term is paid
     rotation_scale: float = 0.1  # of the rotation term
-    # How far behind the forearm, as one looks at it from the waist, the hook is to be while it turns, in m: the rotation
-    # term pays near that place only, by the proximity of the feeding terms. None: everywhere.
+    # m, how far behind the forearm, as one looks at it from the waist, the hook is to be: the rotation term pays near
+    # that place only, by the proximity of the feeding terms. None: everywhere.
     behind: float | None = None
     unsettled: float = 1.0  # of the waist term is paid at the waist while the forearm moves, or was thrown there
     # What counts as brought back, and for how long in all it must last to be a success.
