@@ -126,7 +126,7 @@ def test_members_that_are_swapped_are_found_out(folder):
 
 
 def test_a_selection_is_a_population(population):
-    some = population.select([population.ids[4], population.ids[3]])
+    some = population.select([population.ids[4], population.ids[1]])
     assert [row["person"]["disability"] for row in some.rows] == ["tremor=0.2", "tremor"]
     jax.tree.map(np.testing.assert_array_equal, some.member(some[0]), population.member(population[4]))
     assert some.partner().members == 2
