@@ -148,9 +148,9 @@ TASKS = {
                 lambda c, steps: steps * c.rotation_scale * 2.0 * 2.0**0.5,
             ),
         },
-        "d: distance from the tool point to the middle of the forearm (m); d_H: distance from there to the waist "
-        "target (m); σ = {r.SIGMA:g} m²; R: orientations as matrices; p: exp(−{r.PROXIMITY:g}·d_b²), d_b the distance "
-        "from the tool point to {c.behind:g} m behind the forearm, as one looks at it from the waist; paid: "
+        "d: distance from the tool point to the last {c.behind:g} m of a level way to the middle of the forearm, from "
+        "behind as one looks at it from the waist (m); d_H: distance from the middle of the forearm to the waist "
+        "target (m); σ = {r.SIGMA:g} m²; R: orientations as matrices; p: exp(−{r.PROXIMITY:g}·d²); paid: "
         "{c.unsettled:g} while the "
         "forearm is at the waist but faster than {c.settled_speed:g} m/s, or was thrown there, and otherwise 1",
         "the middle of the forearm is within {c.waist_distance:g} m of the waist target",

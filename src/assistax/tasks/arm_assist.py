@@ -24,8 +24,9 @@ class ArmAssistConfig:
     waist_scale: float = 10.0  # of the waist term
     waist_width: float = 0.1  # m, from the waist, within which most of the waist term is paid
     rotation_scale: float = 0.1  # of the rotation term
-    # m, how far behind the forearm, as one looks at it from the waist, the hook is to be: the rotation term pays near
-    # that place only, by the proximity of the feeding terms. None: everywhere.
+    # m, how long the way is on which the hook is to come to the forearm, from behind as one looks at it from the waist:
+    # the reach term is for the distance to that way, and the rotation term pays near it only, by the proximity of the
+    # feeding terms. None: for the distance to the forearm, and everywhere.
     behind: float | None = None
     unsettled: float = 1.0  # of the waist term is paid at the waist while the forearm moves, or was thrown there
     # What counts as brought back, and for how long in all it must last to be a success.
@@ -79,13 +80,14 @@ class ArmAssist:
         c = self.config
         restless = self.helping(s, state) & (state.thrown | (self._speed(s) > c.settled_speed))
         paid = jnp.where(restless, c.unsettled, 1.0)
-        to_wrist = s["wrist_target_pos"] - s["tool_pos"]
+        to_place = s["wrist_target_pos"] - s["tool_pos"]
         turned = c.rotation_scale * rotation(self._rotation(s))
         if c.behind is not None:
             way = geometry.unit((s["waist_target_pos"] - s["wrist_target_pos"]) * LEVEL)
-            turned *= proximity(norm(to_wrist - c.behind * way))
+            to_place -= jnp.clip(to_place @ way, 0.0, c.behind) * way
+            turned *= proximity(norm(to_place))
         return {
-            "reach": reach(norm(to_wrist)),
+            "reach": reach(norm(to_place)),
             "waist": c.waist_scale * paid * waist(norm(s["waist_target_pos"] - s["wrist_target_pos"]), c.waist_width),
             "rotation": turned,
         }
@@ -149,7 +151,7 @@ SPECS = (
         ArmAssistConfig(
             waist_width=0.3,
             rotation_scale=1.0,
-            behind=0.06,
+            behind=0.1,
             unsettled=0.9,
             settled_speed=0.1,
             carrying_speed=0.5,
