@@ -18,6 +18,7 @@ from assistax.env import EnvConfig
 from assistax.evaluation.playing import evaluate
 from assistax.human import DISABILITIES, HumanConfig, Person, disability, population, preference
 from assistax.human.profile import stack, unstack
+from assistax.human.wandering import wander
 from assistax.policies import scripted_team
 from assistax.settings import with_settings
 from assistax.tasks import TASKS
@@ -382,3 +383,32 @@ def test_the_list_that_humans_prints_is_a_file_of_people(tmp_path, monkeypatch, 
         jax.tree.leaves(stack(population.people(str(path)))), jax.tree.leaves(population.profiles()), strict=True
     ):
         np.testing.assert_array_equal(here, there)
+
+
+def test_wandering_is_slow_random_motion():
+    """Rough noise would average out at 125 steps a second, and everybody's must be another."""
+    phases = 2.0 * np.pi * np.random.default_rng(0).uniform(size=400)
+    paths = np.array(jax.vmap(wander, (None, 0), 1)(jnp.asarray(phases, jnp.float32), jnp.arange(1000) * 0.008))
+    assert np.abs(paths).max() <= 1.0 and 0.3 < paths.std() < 0.5 and abs(paths.mean()) < 0.02
+    assert (paths[:, :-25] * paths[:, 25:]).mean() > 0.5 * paths.var()  # still much the same after 0.2 s
+    assert abs((paths[:, :-500] * paths[:, 500:]).mean()) < 0.1 * paths.var()  # forgotten after 4 s
+    alike = np.abs(np.corrcoef(paths)[np.triu_indices(400, 1)])
+    assert np.median(alike) < 0.3, np.median(alike)
+    start = paths[:, 0]
+    assert abs(start.mean()) < 0.06 and start.std() > 0.3
+
+
+def test_a_share_of_the_action_is_random():
+    actions = {"robot": jnp.zeros(7)}
+    found = {}
+    for share in (0.0, 0.25, 1.0):
+        env = assistax.make("scratch-v1", human={"random_share": share})
+        _, state = env.reset(jax.random.key(3))
+        actions["human"] = jnp.linspace(-2.0, 1.0, env.action_sizes["human"])
+        found[share] = np.asarray(env._wandering(actions, state)["human"])
+    wanted = np.clip(np.linspace(-2.0, 1.0, len(found[0.0])), -1.0, 1.0)
+    np.testing.assert_allclose(np.clip(found[0.0], -1.0, 1.0), wanted, atol=1e-6)
+    np.testing.assert_allclose(found[0.25], 0.75 * wanted + 0.25 * found[1.0], atol=1e-6)
+    assert np.abs(found[1.0]).max() <= 1.0 and np.ptp(found[1.0]) > 0.1
+    with pytest.raises(assistax.UsageError, match=r"random_share must be 0 to 1, not 1\.5"):
+        assistax.make("scratch", human={"random_share": 1.5})

@@ -148,11 +148,11 @@ TASKS = {
                 lambda c, steps: steps * c.rotation_scale * 2.0 * 2.0**0.5,
             ),
         },
-        "d: distance from the tool point to the last {c.behind:g} m of a level way to the middle of the forearm, from "
-        "behind as one looks at it from the waist (m); d_H: distance from the middle of the forearm to the waist "
-        "target (m); σ = {r.SIGMA:g} m²; R: orientations as matrices; p: exp(−{r.PROXIMITY:g}·d²); paid: "
-        "{c.unsettled:g} while the "
-        "forearm is at the waist but faster than {c.settled_speed:g} m/s, or was thrown there, and otherwise 1",
+        "d: distance from the tool point to the last {c.behind:g} m of a level way, from behind as one looks at it "
+        "from the waist, to a place on the forearm {c.grip:g} m from its middle toward the hand (m); d_H: distance "
+        "from the middle of the forearm to the waist target (m); σ = {r.SIGMA:g} m²; R: orientations as matrices; p: "
+        "exp(−{r.PROXIMITY:g}·d²); paid: {c.unsettled:g} while the forearm is at the waist but faster than "
+        "{c.settled_speed:g} m/s, or was thrown there, and otherwise 1",
         "the middle of the forearm is within {c.waist_distance:g} m of the waist target",
         "{c.success_seconds:g} s in all in which it helps and the forearm is slower than {c.settled_speed:g} m/s, "
         "having been carried there below {c.carrying_speed:g} m/s (`seconds_at_waist`)",

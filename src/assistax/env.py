@@ -20,6 +20,7 @@ from assistax import scenes
 from assistax.episode import Bookkeeping, Sums
 from assistax.errors import UsageError, choose
 from assistax.human import HumanConfig, HumanProfile, disability, harm, preference
+from assistax.human.wandering import wander
 from assistax.physics import UNSTABLE, PhysicsState, make_engine
 from assistax.physics.batching import map_where, whole_batch
 from assistax.pytree import pytree
@@ -195,7 +196,7 @@ class Env:
         """
         del key
         actions, fault = self._checked(actions)
-        physics = self.engine.step(state.physics, self._trembling(self._ctrl(actions), state))
+        physics = self.engine.step(state.physics, self._trembling(self._ctrl(self._wandering(actions, state)), state))
         physics, broken = self._unbroken(physics, state.physics, fault)
         s = self.sensors(physics)
         task = self.task.advance(s, state.task)
@@ -346,6 +347,12 @@ class Env:
         robot, human = (jnp.clip(actions[agent], -1.0, 1.0) for agent in AGENTS)
         down, up = self._ctrl_spans
         return jnp.concatenate([human, self._ctrl_zero + jnp.where(robot < 0, down, up) * robot, self._brakes])
+
+    def _wandering(self, actions: Obs, state: EnvState) -> Obs:
+        if not (share := self.config.human.random_share):
+            return actions
+        random = wander(state.phase, state.t * self.dt)
+        return actions | {"human": (1.0 - share) * jnp.clip(actions["human"], -1.0, 1.0) + share * random}
 
     def _trembling(self, ctrl, state: EnvState) -> jax.Array:
         if not self.config.human.disabled:

@@ -32,9 +32,13 @@ class HumanConfig:
     # Who sees the preference: "both" (the paper), "human" or "none"; with "oracle" both do, and the robot is told the
     # body as well (tremor, its frequency, strength and motion), as a reference for robots that have to find out.
     visibility: str = "both"
+    # The share of the person's action that is random, 0 to 1: to train a robot for people who do otherwise (E3T).
+    random_share: float = 0.0
 
     def __post_init__(self):
         choose("visibility", self.visibility, ["both", "human", "none", "oracle"])
+        if not 0.0 <= self.random_share <= 1.0:
+            raise UsageError(f"env.human.random_share must be 0 to 1, not {self.random_share}.")
         if self.people != "none":
             if (self.disability, self.preference) != ("none", "none"):
                 raise UsageError(

@@ -28,6 +28,7 @@ class ArmAssistConfig:
     # the reach term is for the distance to that way, and the rotation term pays near it only, by the proximity of the
     # feeding terms. None: for the distance to the forearm, and everywhere.
     behind: float | None = None
+    grip: float = 0.0  # m, from the middle of the forearm toward the hand, to where the hook is to come
     unsettled: float = 1.0  # of the waist term is paid at the waist while the forearm moves, or was thrown there
     # What counts as brought back, and for how long in all it must last to be a success.
     waist_distance: float = 0.10  # m
@@ -81,6 +82,8 @@ class ArmAssist:
         restless = self.helping(s, state) & (state.thrown | (self._speed(s) > c.settled_speed))
         paid = jnp.where(restless, c.unsettled, 1.0)
         to_place = s["wrist_target_pos"] - s["tool_pos"]
+        if c.grip:
+            to_place -= c.grip * geometry.matrix(s["wrist_target_quat"])[:, 2]  # the forearm's axis, to the elbow
         turned = c.rotation_scale * rotation(self._rotation(s))
         if c.behind is not None:
             way = geometry.unit((s["waist_target_pos"] - s["wrist_target_pos"]) * LEVEL)
@@ -152,6 +155,7 @@ SPECS = (
             waist_width=0.3,
             rotation_scale=1.0,
             behind=0.1,
+            grip=0.075,
             unsettled=0.9,
             settled_speed=0.1,
             carrying_speed=0.5,
