@@ -238,9 +238,34 @@ class Fines(Game):
         return {"cost": self.unit * (robot + 2.0 * human)}
 
 
-def trained(game, iterations, num_envs=64, **settings):
+class Stranger(Game):
+    """The robot sees the human's last action until the third step, and should do as this human does from then on.
+
+    Reward 1 - (the robot's action - the human's)² from the third step on, else 0. Humans play 1 or -1 all the time: who
+    knows with whom it plays earns 1 a step, who does not plays 0 and earns 0.
+    """
+
+    episode_length = 10
+    observation_sizes, action_sizes, global_size = {"robot": 2, "human": 1}, {"robot": 1, "human": 1}, 2
+
+    def begin(self, key):
+        return {"done": jnp.float32(0.0)}
+
+    def see(self, state):
+        early = state["t"] < 3
+        return {"robot": jnp.stack([early * state["done"], 1.0 * early]), "human": state["done"][None]}
+
+    def global_obs(self, state):
+        return self.see(state)["robot"]
+
+    def play(self, key, state, actions):
+        paid = 1.0 - jnp.square(actions["robot"][0] - actions["human"][0])
+        return jnp.where(state["t"] >= 3, paid, 0.0), {"done": actions["human"][0]}
+
+
+def trained(game, iterations, num_envs=64, partners=None, **settings):
     """(trainer, state, stats, the last batch) after some iterations of PPO."""
-    ppo = PPO(game, PPOConfig(**settings), num_envs, iterations)
+    ppo = PPO(game, PPOConfig(**settings), num_envs, iterations, partners)
     collect, improve = jax.jit(ppo.collect), jax.jit(ppo.improve)
     state, stats, batch = jax.jit(ppo.init)(jax.random.key(0)), {}, {}
     for _ in range(iterations):

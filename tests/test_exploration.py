@@ -55,7 +55,7 @@ def test_the_gradient_is_that_of_the_explorers_return(gain):
             shift = lambda a: jnp.concatenate([a[:1], a[:-1]])  # noqa: E731
             part = {"obs": {"robot": x}, "reset": batch["reset"], "kept": batch["kept"], "robot": {"action": action}}
             part["before"] = {"obs": {"robot": shift(x)}, "robot": {"action": shift(action)}}
-            return ppo._log_prob(config, "robot", actor, part, ())[0]
+            return ppo._log_prob(config, "robot", {"actor": actor}, part, ())[0]
 
         error = jnp.abs(log_probs(layer["w"]) - batch["log_probs"]["robot"]).max()
         return -jax.grad(lambda w: (log_probs(w) * (ahead - expected)).sum(0).mean())(layer["w"])[0, 0], error
@@ -78,7 +78,7 @@ def test_log_probabilities_of_a_rollout_add_up_to_its_density(recurrent):
     if not recurrent:
         shifted = jax.tree.map(lambda x: jnp.concatenate([x[:1], x[:-1]]), part)
         part["before"] = shifted
-    found = jax.jit(lambda: ppo._log_prob(config, "robot", other, part, start)[0])()
+    found = jax.jit(lambda: ppo._log_prob(config, "robot", {"actor": other}, part, start)[0])()
     mean = jax.jit(lambda: unroll(other, batch["obs"]["robot"], start, reset, "tanh")[0])()
     assert reset[1:].any() and not reset[0].all()
     for env in range(4):

@@ -1,12 +1,15 @@
 """Games that PPO solves, and that it solves only with a memory or with a critic that sees everything."""
 
+from dataclasses import dataclass
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from games import Cue, Levers, Meeting, Recall, Weather, trained
+from games import Cue, Levers, Meeting, Recall, Stranger, Weather, trained
 
 from assistax.learning.ppo import PPO, PPOConfig
+from assistax.policies import Player
 
 
 def test_ppo_solves_a_game_with_a_known_optimum_to_two_percent():
@@ -54,6 +57,30 @@ def test_a_gru_solves_what_needs_memory_and_a_feed_forward_network_cannot(recurr
     later = ~np.asarray(batch["reset"])
     reward = float(np.asarray(batch["rewards"]["robot"])[later].mean())
     assert reward > 0.9 if recurrent else 0.1 < reward < 0.45
+
+
+@dataclass(frozen=True)
+class Constant:
+    """Params [actions]: does that."""
+
+    def initial_carry(self):
+        return ()
+
+    def act(self, params, carry, obs, reset, key):
+        return params, carry
+
+
+@pytest.mark.parametrize("code", [0, 2])
+def test_a_model_of_the_partner_tells_who_it_is(code):
+    """See Stranger: knowing the partner is everything, and the code has it from predicting, not from the reward."""
+    people = {"human": Player.of(Constant(), jnp.ones(1), -jnp.ones(1))}
+    quick = {"num_steps": 20, "num_minibatches": 2, "hidden": (8,), "entropy_coef": 0.0, "gamma": 0.5}
+    quick |= {"learning_rate": 1e-2, "initial_log_std": -1.0, "partner_code": code}
+    _, _, stats, batch = trained(Stranger(), 40, partners=people, **quick)
+    asked = np.asarray(batch["obs"]["robot"][..., 1]) == 0.0
+    reward = float(np.asarray(batch["rewards"]["robot"])[asked].mean())
+    assert reward > 0.75 if code else reward < 0.1, reward
+    assert not code or stats["robot"]["prediction_error"] < 0.2  # about 1 without knowing who it is
 
 
 @pytest.mark.slow

@@ -6,15 +6,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from assistax.errors import UsageError
 from assistax.inference import NumPyPolicy
-from assistax.learning.networks import gaussian_log_prob, mlp, next_noise, step
+from assistax.learning.networks import gaussian_log_prob, mlp, next_noise
 from assistax.learning.normalizer import normalize, shift_and_scale
+from assistax.learning.partner_model import unroll_actor
 from assistax.learning.squashed import sample_squashed, split_head
 
 
 @dataclass(frozen=True)
 class Actor:
-    """A trained actor of PPO; params: {"actor": ..., "normalizer": ...}."""
+    """A trained actor of PPO; params: {"actor": ..., "normalizer": ...} and perhaps "partner_model"."""
 
     activation: str = "tanh"
     normalize_obs: bool = True
@@ -54,7 +56,8 @@ class Actor:
     def _mean(self, params, memory, obs, reset):
         if self.normalize_obs:
             obs = normalize(params["normalizer"], obs)
-        return step(params["actor"], obs, memory, reset, self.activation)
+        mean, memory, _ = unroll_actor(params, obs[None], memory, reset[None], self.activation)
+        return mean[0], jax.tree.map(lambda h: h[0], memory)
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,8 @@ class SquashedActor:
 
 
 def _as_numpy(actor: Actor | SquashedActor, params, squashed: bool) -> NumPyPolicy:
+    if "partner_model" in params:
+        raise UsageError("A robot with a model of its partners cannot be exported to NumPy.")
     net = jax.tree.map(lambda x: np.asarray(x, np.float32), params["actor"])
     size = len(net["layers"][0]["w"])
     mean, scale = np.zeros(size, np.float32), np.ones(size, np.float32)

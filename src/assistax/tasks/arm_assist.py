@@ -29,7 +29,7 @@ class ArmAssistConfig:
     # feeding terms. None: for the distance to the forearm, and everywhere.
     behind: float | None = None
     grip: float = 0.0  # m, from the middle of the forearm toward the hand, to where the hook is to come
-    unsettled: float = 1.0  # of the waist term is paid at the waist while the forearm moves, or was thrown there
+    unsettled: float = 1.0  # of the waist term is paid unless the forearm is brought back
     # What counts as brought back, and for how long in all it must last to be a success.
     waist_distance: float = 0.10  # m
     settled_speed: float = 1e3  # m/s, of the forearm, at most, while it counts
@@ -79,8 +79,7 @@ class ArmAssist:
 
     def reward_terms(self, s: Sensors, state: ArmAssistState):
         c = self.config
-        restless = self.helping(s, state) & (state.thrown | (self._speed(s) > c.settled_speed))
-        paid = jnp.where(restless, c.unsettled, 1.0)
+        paid = jnp.where(self._settled(s, state, state.thrown), 1.0, c.unsettled)
         to_place = s["wrist_target_pos"] - s["tool_pos"]
         if c.grip:
             to_place -= c.grip * geometry.matrix(s["wrist_target_quat"])[:, 2]  # the forearm's axis, to the elbow
@@ -99,8 +98,12 @@ class ArmAssist:
         c, there = self.config, self.helping(s, state)
         speed = self._speed(s)
         thrown = (state.thrown & (there | (speed > c.settled_speed))) | (speed > c.carrying_speed)
-        settled = there & ~thrown & (speed <= c.settled_speed)
+        settled = self._settled(s, state, thrown)
         return ArmAssistState(state.seconds_at_waist + self.dt * settled, thrown)
+
+    def _settled(self, s: Sensors, state: ArmAssistState, thrown):
+        """The forearm is at the waist, still, and was carried there."""
+        return self.helping(s, state) & ~thrown & (self._speed(s) <= self.config.settled_speed)
 
     def helping(self, s: Sensors, state: ArmAssistState):
         """The forearm is at the waist."""
@@ -156,7 +159,7 @@ SPECS = (
             rotation_scale=1.0,
             behind=0.1,
             grip=0.075,
-            unsettled=0.9,
+            unsettled=0.7,
             settled_speed=0.1,
             carrying_speed=0.5,
         ),

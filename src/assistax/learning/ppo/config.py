@@ -14,6 +14,7 @@ QUIETER = 0.75  # of a run, after which exploration has come down to final_log_s
 class PPOConfig:
     central_critic: bool = False  # critics see the global state (MAPPO) instead of the agent's own observation (IPPO)
     recurrent: bool = False  # in actors a GRU of hidden[0] units in place of the first layer
+    partner_code: int = 0  # numbers in which a model of the partners (LIAM), a GRU, tells the actor of them; 0: none
     share_parameters: bool = False  # one actor and one critic for all learners, with who plays as an input
     learning_rate: float = 3e-4  # of Adam, for actors and critics
     anneal_learning_rate: bool = False  # lower it linearly to zero over the run
@@ -66,11 +67,20 @@ class PPOConfig:
             raise UsageError(f"ppo.correlated_steps must be 0 (all of the run) or more, not {self.correlated_steps}.")
         if not 0 <= self.desired_kl < math.inf:
             raise UsageError(f"ppo.desired_kl must be 0 (none) or above, not {self.desired_kl}.")
+        if self.partner_code < 0:
+            raise UsageError(f"ppo.partner_code must be 0 (none) or more, not {self.partner_code}.")
+        if self.partner_code and (self.recurrent or self.share_parameters):
+            other = "ppo.recurrent" if self.recurrent else "ppo.share_parameters"
+            raise UsageError(f"ppo.partner_code has a memory of its own, for each learner; leave out {other}.")
         if not all(0 < size < 2**31 for size in self.hidden) or (
-            not self.hidden and (self.recurrent or self.share_parameters)
+            not self.hidden and (self.remembers or self.share_parameters)
         ):
             raise UsageError(f"ppo.hidden must be the sizes of one layer or more, not {self.hidden}.")
         choose("activation", self.activation, ACTIVATIONS)
+
+    @property
+    def remembers(self) -> bool:
+        return self.recurrent or self.partner_code > 0
 
     @property
     def constrained(self) -> bool:

@@ -22,11 +22,12 @@ from assistax.learning.gae import gae, horizon
 from assistax.learning.log import iteration_log, step_log
 from assistax.learning.networks import gaussian_entropy, gaussian_log_prob, mlp, step, unroll
 from assistax.learning.normalizer import init_stats, update_stats
+from assistax.learning.partner_model import prediction_error, remembering, unroll_actor
 from assistax.learning.partners import Partners
 from assistax.learning.ppo.config import QUIETER, PPOConfig
 from assistax.learning.ppo.constraint import check_cost, combined, in_means, init_constraint, updated
 from assistax.learning.ppo.losses import adapted_rate, clip_networks, clipped_policy_loss, value_loss
-from assistax.learning.ppo.team import TeamNetworks
+from assistax.learning.ppo.team import TeamNetworks, beside
 from assistax.learning.tuned import overlaid
 from assistax.policies import Player
 from assistax.pytree import pytree
@@ -73,7 +74,7 @@ class PPO:
         self.partners = Partners(env, num_envs, partners)
         self.learners = self.partners.learners
         self.steps_per_iteration = num_envs * config.num_steps
-        if config.recurrent and num_envs % config.num_minibatches:
+        if config.remembers and num_envs % config.num_minibatches:
             raise UsageError(
                 f"num_envs = {num_envs} sequences do not divide into ppo.num_minibatches = {config.num_minibatches}."
             )
@@ -99,7 +100,7 @@ class PPO:
         # In step, all environments would be at the same moment of the task in every batch.
         elapsed = jnp.arange(self.num_envs) * env.episode_length // self.num_envs * c.stagger
         obs, env_state = jax.vmap(env.reset)(jax.random.split(reset_key, self.num_envs), elapsed)
-        blank = jnp.zeros((self.num_envs, self.networks.units)) if c.recurrent else ()
+        blank = jnp.zeros((self.num_envs, self.networks.units)) if self.config.remembers else ()
         return TrainState(
             params=params,
             opt_state=self._adam.init(params),
@@ -137,7 +138,8 @@ class PPO:
     def policy_params(self, state: TrainState) -> dict[str, Any]:
         """By learner, parameters for `policy`; of `state` only params and normalizer are read."""
         networks = self.networks.of(state.params)
-        return {a: {"actor": networks[a]["actor"], "normalizer": state.normalizer[a]} for a in self.learners}
+        acting = {a: {n: networks[a][n] for n in ("actor", "partner_model") if n in networks[a]} for a in self.learners}
+        return {a: acting[a] | {"normalizer": state.normalizer[a]} for a in self.learners}
 
     def collect(self, state: TrainState) -> tuple[TrainState, dict]:
         """Play `num_steps` in all environments: the batch, each array [num_steps, num_envs, ...]."""
@@ -173,6 +175,7 @@ class PPO:
                 "reset": reset,
                 "actions": {agent: actions[agent] for agent in self.learners},
                 "log_probs": log_probs,
+                "beside": self.networks.done_beside(actions),
                 "kept": kept if correlated else None,  # correlation of the noise with that of the step before
                 "rewards": {agent: rewards[agent] for agent in self.learners},
                 "terminated": terminated["__all__"],
@@ -219,10 +222,10 @@ class PPO:
         samples = {"obs": seen, "reset": batch["reset"], "kept": batch["kept"]}
         advantages, cost_advantages = {}, {}
         for agent in self.learners:
-            actor, reset = networks[agent]["actor"], batch["reset"]
-            _, memory = unroll(actor, seen[agent], batch["memory"][agent], reset, c.activation)
+            reader, reset = remembering(networks[agent]), batch["reset"]
+            _, memory = unroll(reader, seen[agent], batch["memory"][agent], reset, c.activation)
             # The state that a step led to is met with that step's memory, also where a reset followed.
-            _, after = step(actor, final[agent], memory, jnp.zeros_like(reset), c.activation)
+            _, after = step(reader, final[agent], memory, jnp.zeros_like(reset), c.activation)
 
             def judged(critic, rewards, memory=memory, after=after, agent=agent):
                 values = self.networks.value(critic, agent, seen, memory)
@@ -234,6 +237,8 @@ class PPO:
                 return {"old": values, "target": advantages + values}, advantages
 
             samples[agent] = {"action": batch["actions"][agent], "log_prob": batch["log_probs"][agent]}
+            if c.partner_code:
+                samples[agent]["told"] = jnp.concatenate([final[beside(agent)], batch["beside"][agent]], -1)
             samples[agent]["critic"], advantages[agent] = judged(networks[agent]["critic"], batch["rewards"][agent])
             if self.config.constrained:
                 costs = in_means(batch["cost"], state.constraint)
@@ -260,13 +265,15 @@ class PPO:
         samples = self._samples(replace(state, normalizer=used), batch)
         samples = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
         # Without memory, every step is a sequence of its own.
-        steps = jnp.arange(c.num_steps)[:, None] * self.num_envs if c.recurrent else 0
-        sequences = self.num_envs if c.recurrent else self.steps_per_iteration
+        steps = jnp.arange(c.num_steps)[:, None] * self.num_envs if self.config.remembers else 0
+        sequences = self.num_envs if self.config.remembers else self.steps_per_iteration
 
         def minibatch(carry, ids):
             params, opt_state = carry
             part = jax.tree.map(lambda x: x[steps + ids], samples)
-            if self._correlated(state) and not c.recurrent:  # the step before in the same environment, if there is one
+            if (
+                self._correlated(state) and not self.config.remembers
+            ):  # the step before in the same environment, if there is one
                 part["before"] = jax.tree.map(lambda x: x[jnp.maximum(ids - self.num_envs, 0)], samples)
             part_start = jax.tree.map(lambda x: x[ids], batch["memory"])
             grads, stats = jax.grad(partial(self._loss, c), has_aux=True)(params, part, part_start)
@@ -274,8 +281,9 @@ class PPO:
             if c.anneal_learning_rate:
                 rate *= 1.0 - opt_state[0].count / self._updates
             updates, opt_state = self._adam.update(clip_networks(grads, c.max_grad_norm), opt_state)
-            critics = dict.fromkeys(self.networks.critics, rate)
-            rates = {name: {"actor": rate * scale} | critics for name, scale in state.rate_scale.items()}
+            rates = {name: dict.fromkeys(params[name], rate) for name in params}
+            for name, scale in state.rate_scale.items():
+                rates[name]["actor"] = rate * scale
             updates = jax.tree.map(optax.tree.scale, rates, updates)
             return (optax.apply_updates(params, updates), opt_state), stats
 
@@ -336,7 +344,7 @@ class PPO:
         def noise(action, mean):
             return (action - mean) * jnp.exp(-actor["log_std"])
 
-        if c.recurrent:
+        if self.config.remembers:
             here = noise(part[agent]["action"], mean)
             return jnp.concatenate([jnp.zeros_like(here[:1]), here[:-1]])
 
@@ -347,15 +355,16 @@ class PPO:
         # Costs nothing any more once the noise is independent.
         return jax.lax.cond(jnp.any(part["kept"] > 0.0), played_again, lambda: jnp.zeros_like(mean))
 
-    def _log_prob(self, c, agent, actor, part, start):
-        """Log-probabilities [...] of the actions of `part`, which follow those before them, and the actor's memory."""
-        mean, memory = unroll(actor, part["obs"][agent], start, part["reset"], c.activation)
+    def _log_prob(self, c, agent, networks, part, start):
+        """Log-probabilities [...] of the actions of `part`, which follow those before them; the memory; the code."""
+        actor = networks["actor"]
+        mean, memory, code = unroll_actor(networks, part["obs"][agent], start, part["reset"], c.activation)
         given = () if part["kept"] is None else (self._noise_before(c, agent, actor, part, mean), part["kept"])
-        return gaussian_log_prob(part[agent]["action"], mean, actor["log_std"], *given), memory
+        return gaussian_log_prob(part[agent]["action"], mean, actor["log_std"], *given), memory, code
 
     def _agent_loss(self, c, agent, networks, part, start):
         x, log_std = part[agent], networks["actor"]["log_std"]
-        log_prob, memory = self._log_prob(c, agent, networks["actor"], part, start)
+        log_prob, memory, code = self._log_prob(c, agent, networks, part, start)
         log_ratio = log_prob - x["log_prob"]
         policy_loss = clipped_policy_loss(log_ratio, x["advantage"], c.clip_eps)
         clip = c.clip_eps if c.clip_value else None
@@ -374,4 +383,8 @@ class PPO:
         }
         if self.config.constrained:
             stats["cost_value_loss"] = errors["cost_critic"]
-        return policy_loss + c.value_coef * sum(errors.values()) - c.entropy_coef * entropy, stats
+        loss = policy_loss + c.value_coef * sum(errors.values()) - c.entropy_coef * entropy
+        if c.partner_code:
+            stats["prediction_error"] = prediction_error(networks["partner_model"], code, x["told"], c.activation)
+            loss += stats["prediction_error"]
+        return loss, stats
