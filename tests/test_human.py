@@ -412,3 +412,29 @@ def test_a_share_of_the_action_is_random():
     assert np.abs(found[1.0]).max() <= 1.0 and np.ptp(found[1.0]) > 0.1
     with pytest.raises(assistax.UsageError, match=r"random_share must be 0 to 1, not 1\.5"):
         assistax.make("scratch", human={"random_share": 1.5})
+
+
+def test_a_person_stays_for_as_many_episodes_as_asked_for():
+    listed = [{"disability": f"motion={m} strength=0.5", "preference": "default"} for m in (0.3, 0.5, 0.7, 0.9)]
+    env = assistax.make("scratch-v1", episode_length=2, human={"people": listed, "redraw_every": 3})
+    keys = jax.random.split(jax.random.key(0), 12)
+    _, state = jax.vmap(env.reset)(keys)
+    still = {agent: jnp.zeros((12, size)) for agent, size in env.action_sizes.items()}
+
+    def step(state, key):
+        _, after, *_ = jax.vmap(env.step, (0, 0, 0))(jax.random.split(key, 12), state, still)
+        low = state.physics.overrides["jnt_range"].sum((1, 2))
+        return after, (state.person.index, state.person.disability.motion, jax.vmap(env.met_before)(state), low)
+
+    _, seen = jax.jit(lambda s: jax.lax.scan(step, s, jax.random.split(jax.random.key(1), 48)))(state)
+    who, motion, before, body = (np.asarray(x)[::2] for x in seen)  # by episode
+    assert (np.asarray(seen[0])[::2] == np.asarray(seen[0])[1::2]).all()
+    for meetings in who.reshape(8, 3, 12).transpose(0, 2, 1).reshape(-1, 3):
+        assert (meetings == meetings[0]).all()
+    assert set(np.unique(who)) == {0, 1, 2, 3} and (np.diff(who[::3], axis=0) != 0).mean() > 0.5
+    np.testing.assert_array_equal(before, np.tile([[False], [True], [True]], (8, 12)))
+    np.testing.assert_allclose(motion, np.array([0.3, 0.5, 0.7, 0.9], np.float32)[who])
+    for person in range(4):  # the joints' limits are this person's
+        assert np.ptp(body[who == person]) < 1e-3 and (body[who != person] != body[who == person][0]).all()
+    with pytest.raises(assistax.UsageError, match=r"redraw_every must be 1 or more"):
+        assistax.make("scratch", human={"redraw_every": 0})

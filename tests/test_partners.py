@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from stored import small, store_checkpoint, stored_run, stored_team
 
+import assistax
 from assistax.errors import UsageError
+from assistax.learning.ppo import PPO, PPOConfig
 from assistax.policies import Player, Still
 from assistax.training.checkpoint import load_checkpoint, save_checkpoint
 from assistax.training.configuration import to_json, trained_env
@@ -142,3 +144,13 @@ def test_ones_own_player_trains_and_resumes_where_it_is_given(tmp_path):
         Run.open(run.folder)
     again = Run.open(run.folder, players=mine)
     assert again.teams()[0]["human"] is mine["human"] and again.teams()[0]["robot"].members == 1
+
+
+def test_a_memory_is_kept_for_as_long_as_the_partner_stays():
+    env = assistax.make("scratch-v1", episode_length=3, human={"redraw_every": 2})
+    settings = PPOConfig(num_steps=12, num_minibatches=1, update_epochs=1, hidden=(4,), recurrent=True, stagger=False)
+    still = Player(Still(env.action_sizes["human"]), jax.numpy.zeros((5, 1)), 5)
+    ppo = PPO(env, settings, 4, 2, {"human": still})
+    _, batch = jax.jit(lambda key: ppo.collect(ppo.init(key)))(jax.random.key(0))
+    np.testing.assert_array_equal(batch["done"][:, 0], np.arange(12) % 3 == 2)
+    np.testing.assert_array_equal(batch["reset"][:, 0], np.arange(12) % 6 == 0)

@@ -71,6 +71,7 @@ class EnvState:
     seed: jax.Array  # uint32 [2], what the next automatic reset draws with, beside the step's key
     harm: harm.HarmState | None  # to the person's body, where the scene measures it
     episode: Sums  # so far, see episode.py
+    met: Any = ()  # int32, episodes that this person was here before, if people stay for more than one
 
 
 class _Start(NamedTuple):
@@ -133,6 +134,7 @@ class Env:
         middle = limits.mean(1) if config.control == "torque" else jnp.asarray(scene.start)
         scale = config.torque_scale if config.control == "torque" else 1.0
         self._ctrl_zero, self._ctrl_spans = middle, scale * jnp.stack([middle - limits[:, 0], limits[:, 1] - middle])
+        self._staying = config.human.redraw_every > 1
         self._books = Bookkeeping(self.dt, config.force_limit, config.human.preferring)
         self._draw_where = whole_batch(self._draw_batch)
         self._layouts = self._measure_layouts()
@@ -156,7 +158,7 @@ class Env:
         """
         start = self._draw(key, person)
         physics = self.engine.init(start.qpos, start.qvel, start.overrides)
-        state = self._begin(physics, start, jnp.asarray(elapsed, jnp.int32))
+        state = self._begin(physics, start, jnp.asarray(elapsed, jnp.int32), jnp.int32(0) if self._staying else ())
         return self._observe(state), state
 
     def step(self, key: jax.Array, state: EnvState, actions: Obs):
@@ -181,10 +183,14 @@ class Env:
         """
         obs, end, rewards, terminated, truncated, info = self.step_env(key, state, actions)
         done = terminated["__all__"] | truncated["__all__"]
-        start = self._draw_where(done, key, state.seed)
+        met, before = (), ()
+        if self._staying:
+            met = (end.met + 1) % self.config.human.redraw_every
+            before = end.person, met > 0
+        start = self._draw_where(done, key, state.seed, *before)
         physics = self.engine.reinit(end.physics, done, start.qpos, start.qvel, start.overrides)
         kept = dataclasses.replace(end, physics=physics)
-        state = jax.tree.map(partial(jnp.where, done), self._begin(physics, start, jnp.int32(0)), kept)
+        state = jax.tree.map(partial(jnp.where, done), self._begin(physics, start, jnp.int32(0), met), kept)
         info["final_observation"] = obs
         info["final_global_observation"] = self.global_obs(end)
         return self._observe(state), state, rewards, terminated, truncated, info
@@ -241,6 +247,10 @@ class Env:
             info,
         )
 
+    def met_before(self, state: EnvState) -> jax.Array:
+        """bool, whether the person of this episode was that of the episode before, see HumanConfig.redraw_every."""
+        return state.met > 0 if self._staying else jnp.bool_(False)
+
     # -- what one can ask of it ----------------------------------------------------------------
 
     def obs_layout(self, agent: str) -> dict[str, slice]:
@@ -289,9 +299,12 @@ class Env:
     def _columns(self, prefix: str, joints) -> np.ndarray:
         return np.array([self._slices[prefix + joint].start for joint in joints])
 
-    def _draw(self, key, person: jax.Array | None = None) -> _Start:
+    def _draw(self, key, person: jax.Array | None = None, before: tuple = ()) -> _Start:
+        """`before` is the person so far, and whether it stays."""
         task_key, person_key, phase_key, key = jax.random.split(key, 4)
         profile = self.config.human.draw(person_key, person)
+        if before:
+            profile = jax.tree.map(partial(jnp.where, before[1]), before[0], profile)
         overrides = (
             self._body.overrides(profile.disability, self.spec.tremor_weakens) if self.config.human.disabled else {}
         )
@@ -302,20 +315,20 @@ class Env:
         seed = jax.random.bits(jax.random.fold_in(key, _SEED), (2,), jnp.uint32)
         return _Start(qpos, noise[1], self.task.reset(task_key), profile, phase, overrides, seed)
 
-    def _draw_batch(self, done: jax.Array, keys: jax.Array, seeds: jax.Array) -> _Start:
+    def _draw_batch(self, done: jax.Array, keys: jax.Array, seeds: jax.Array, *before) -> _Start:
         """What a reset draws [n, ...] where an episode is done, zeros elsewhere: random bits are not free."""
 
         @jax.vmap
-        def draw(key, seed):
-            return self._draw(jax.random.fold_in(jax.random.fold_in(key, seed[0]), seed[1]))
+        def draw(key, seed, *before):
+            return self._draw(jax.random.fold_in(jax.random.fold_in(key, seed[0]), seed[1]), None, before)
 
-        blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(draw, keys, seeds))
-        return map_where(draw, done, blank, keys, seeds)
+        blank = jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(draw, keys, seeds, *before))
+        return map_where(draw, done, blank, keys, seeds, *before)
 
-    def _begin(self, physics: PhysicsState, start: _Start, t) -> EnvState:
+    def _begin(self, physics: PhysicsState, start: _Start, t, met: Any = ()) -> EnvState:
         harmed = harm.begin() if self.spec.scene.regions else None
         sums, zero = self._books.start(), jnp.float32(0.0)
-        return EnvState(physics, start.task, start.person, start.phase, zero, t, start.seed, harmed, sums)
+        return EnvState(physics, start.task, start.person, start.phase, zero, t, start.seed, harmed, sums, met)
 
     def _checked(self, actions: Obs) -> tuple[Obs, jax.Array]:
         """Actions as numbers that can be used, and UNSTABLE if some of them could not."""

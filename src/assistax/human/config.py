@@ -11,6 +11,7 @@ from assistax.errors import UsageError, choose
 from assistax.human import disability, population, preference
 from assistax.human.disability import DISABILITIES
 from assistax.human.profile import HumanProfile, Person, stack
+from assistax.settings import check_count
 
 
 @dataclass(frozen=True)
@@ -34,11 +35,14 @@ class HumanConfig:
     visibility: str = "both"
     # The share of the person's action that is random, 0 to 1: to train a robot for people who do otherwise (E3T).
     random_share: float = 0.0
+    # Episodes for which a person stays, and the partner, before the next one is drawn: a memory is kept for as long.
+    redraw_every: int = 1
 
     def __post_init__(self):
         choose("visibility", self.visibility, ["both", "human", "none", "oracle"])
         if not 0.0 <= self.random_share <= 1.0:
             raise UsageError(f"env.human.random_share must be 0 to 1, not {self.random_share}.")
+        check_count("env.human.redraw_every", self.redraw_every)
         if self.people != "none":
             if (self.disability, self.preference) != ("none", "none"):
                 raise UsageError(

@@ -24,7 +24,7 @@ class Partners:
     """
 
     def __init__(self, env, num_envs: int, players: Mapping[str, Player] | None = None):
-        self.num_envs, self.players = num_envs, dict(players or {})
+        self._env, self.num_envs, self.players = env, num_envs, dict(players or {})
         for agent, player in self.players.items():
             choose("agent", agent, env.agents)
             player.check()
@@ -59,6 +59,12 @@ class Partners:
             actions[agent], carry = _act(player, index, carry, obs[agent], env_state, reset, keys)
             moved[agent] = {"index": index, "carry": carry}
         return actions, moved
+
+    def stay(self, env_state) -> jax.Array:
+        """[num_envs] whether who plays was in the episode before as well; environments that know say so."""
+        if not hasattr(self._env, "met_before"):
+            return jnp.zeros(self.num_envs, bool)
+        return jax.vmap(self._env.met_before)(env_state)
 
     def redraw(self, state, done, key):
         """`state` with a fresh member, uniform over all, wherever an episode ended (done [num_envs])."""

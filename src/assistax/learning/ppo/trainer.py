@@ -151,6 +151,7 @@ class PPO:
 
         def play(carry, now):
             (env_state, obs, reset, memory, noise, partner_state, so_far, t), (key, first) = carry, now
+            forgets = reset & ~self.partners.stay(env_state)  # a memory is for as long as the partner stays
             # A rollout's noise knows nothing of the one before, so that its density is one of its own actions alone.
             kept = jnp.where(reset | first, 0.0, correlation)
             partner_key, redraw_key, step_key, *action_keys = jax.random.split(key, 3 + len(self.learners))
@@ -159,7 +160,7 @@ class PPO:
             for agent, action_key in zip(self.learners, action_keys, strict=True):
                 carry = memory[agent], noise[agent]
                 actions[agent], carry, log_probs[agent] = policy.sample(
-                    params[agent], carry, obs[agent], reset, kept, action_key, correlated
+                    params[agent], carry, obs[agent], forgets, kept, action_key, correlated
                 )
                 memory[agent], noise[agent] = carry
             global_obs_before = global_obs(env_state)
@@ -172,7 +173,7 @@ class PPO:
             played = {
                 "obs": self.networks.views(obs, global_obs_before),
                 "final_obs": final,
-                "reset": reset,
+                "reset": forgets,
                 "actions": {agent: actions[agent] for agent in self.learners},
                 "log_probs": log_probs,
                 "beside": self.networks.done_beside(actions),
@@ -187,7 +188,7 @@ class PPO:
                 played |= {"cost": info["cost"], "episode_cost": total, "whole": whole}
                 so_far = jnp.where(done, 0.0, total)
             log = step_log(info, whole)
-            partner_state = self.partners.redraw(partner_state, done, redraw_key)
+            partner_state = self.partners.redraw(partner_state, done & ~self.partners.stay(env_state), redraw_key)
             return (env_state, next_obs, done, memory, noise, partner_state, so_far, t + 1), (played, log)
 
         key, rollout_key = jax.random.split(state.key)
