@@ -286,7 +286,7 @@ def test_the_hook_is_led_to_below_the_wrist_from_behind():
         now = {name: jnp.asarray(x[0], jnp.float32) for name, x in (s | turned).items()}
         terms = env.task.reward_terms(now, state)
         assert float(terms["reach"]) == pytest.approx(np.exp(-(near**2) / rewards.SIGMA), abs=1e-5)
-        assert float(terms["rotation"]) == pytest.approx(8**0.5 * np.exp(-150 * near**2), abs=1e-3)
+        assert float(terms["rotation"]) == pytest.approx(8**0.5 * np.exp(-(near**2) / rewards.SIGMA), abs=1e-3)
 
 
 # -- feeding ---------------------------------------------------------------------------------------

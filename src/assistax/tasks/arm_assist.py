@@ -16,7 +16,7 @@ from assistax.pytree import pytree
 from assistax.scenes import RIGHT_ARM, SceneConfig, geometry, limited
 from assistax.tasks.base import Sensors, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import LEVEL, norm, proximity, reach, rotation, waist
+from assistax.tasks.rewards import LEVEL, norm, reach, rotation, waist
 
 
 @dataclass(frozen=True)
@@ -25,8 +25,8 @@ class ArmAssistConfig:
     waist_width: float = 0.1  # m, from the waist, within which most of the waist term is paid
     rotation_scale: float = 0.1  # of the rotation term
     # m, how long the way is on which the hook is to come to the forearm, from behind as one looks at it from the waist:
-    # the reach term is for the distance to that way, and the rotation term pays near it only, by the proximity of the
-    # feeding terms. None: for the distance to the forearm, and everywhere.
+    # the reach term is for the distance to that way, and the rotation term is multiplied by it. None: the reach term is
+    # for the distance to the forearm, and the rotation term pays alike everywhere.
     behind: float | None = None
     grip: float = 0.0  # m, from the middle of the forearm toward the hand, to where the hook is to come
     unsettled: float = 1.0  # of the waist term is paid unless the forearm is brought back
@@ -87,7 +87,7 @@ class ArmAssist:
         if c.behind is not None:
             way = geometry.unit((s["waist_target_pos"] - s["wrist_target_pos"]) * LEVEL)
             to_place -= jnp.clip(to_place @ way, 0.0, c.behind) * way
-            turned *= proximity(norm(to_place))
+            turned *= reach(norm(to_place))
         return {
             "reach": reach(norm(to_place)),
             "waist": c.waist_scale * paid * waist(norm(s["waist_target_pos"] - s["wrist_target_pos"]), c.waist_width),
