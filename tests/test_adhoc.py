@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from assistax.evaluation.statistics import crossed_ci
 from assistax.human import Person
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.policies import Player, scripted_policy
+from assistax.teamwork.adaptation import Series, about, probe, slope, summarize_series
 from assistax.teamwork.adhoc import Meeting, Scale, gap, summarize
 from assistax.teamwork.report import report
 from assistax.training import splits
@@ -161,3 +163,73 @@ def test_validity(robots):
     root, _ = robots
     printed = assistax_command("teamwork", "validity", f"{root}/pop", "--episodes", 1, "--sample", 2).stdout
     assert "cross-play" in printed
+
+
+# -- several episodes in a row --------------------------------------------------------------------
+
+STEPS = 130  # more than a second, after which the memory is read
+
+
+@dataclass(frozen=True)
+class Counting:
+    """Does `later` from its step `STEPS` on, over all episodes, and nothing before; its memory is the steps done."""
+
+    early: float = 0.0
+    later: float = 0.5
+
+    def initial_carry(self):
+        return jnp.zeros(1), ()
+
+    def act(self, params, carry, obs, reset, key):
+        count = jnp.where(reset, 0.0, carry[0])
+        return jnp.full(7, jnp.where(count[0] < STEPS, self.early, self.later)), (count + 1.0, ())
+
+
+def test_a_memory_lasts_from_one_episode_to_the_next(population):
+    env = assistax.make("scratch-v1", engine="mujoco", episode_length=STEPS, human={"people": population.people})
+    series = Series(env, population, in_a_row=2, repeats=2)
+    mixed, still, moving = (series(Player(Counting(*args))) for args in ((0.0, 0.5), (0.0, 0.0), (0.5, 0.5)))
+    assert mixed["return"].shape == (5, 2, 2) and mixed["memory"].shape == (5, 2, 1, 1)
+    np.testing.assert_array_equal(mixed["return"][..., 0], still["return"][..., 0])
+    np.testing.assert_array_equal(mixed["return"][..., 1], moving["return"][..., 1])
+    assert (still["return"][..., 1] != moving["return"][..., 1]).all()
+    np.testing.assert_array_equal(mixed["memory"], 125.0)
+    assert len(np.unique(still["return"])) == 20  # partners, repeats and episodes are different draws
+
+
+def test_what_an_episode_more_is_worth():
+    np.testing.assert_allclose(slope(np.array([[1.0, 2.0, 3.0], [5.0, 5.0, 5.0], [2.0, 0.0, 1.0]])), [1.0, 0.0, -0.5])
+
+
+def test_a_probe_reads_what_is_there_of_partners_it_has_not_seen():
+    rng = np.random.default_rng(0)
+    people, groups = rng.normal(size=(40, 7)) * 10.0 + 3.0, np.repeat(np.arange(40), 6)
+    truth = people[groups]
+    told = truth @ rng.normal(size=(7, 32)) + 0.1 * rng.normal(size=(240, 32))
+    half = np.concatenate([truth[:, :3], rng.normal(size=(240, 20))], 1)
+    who = np.eye(40)[groups]  # knows everybody and nothing of them
+    assert probe(told, truth, groups) > 0.9
+    assert 0.25 < probe(half, truth, groups) < 0.5
+    assert probe(who, truth, groups) < 0.05 and probe(rng.normal(size=(240, 32)), truth, groups) < 0.05
+    truth[:, 2] = 1.0
+    assert probe(told, truth, groups) > 0.9  # what is the same in everybody is not asked for
+    assert np.isnan(probe(np.zeros((240, 0)), truth, groups))
+
+
+def test_a_summary_has_means_by_episode_and_their_slope(population):
+    one = {"return": np.array([[[1.0, 2.0], [3.0, 4.0]]] * 5), "memory": np.zeros((5, 2, 1, 0))}
+    found = summarize_series([one, one | {"return": one["return"] + 1.0}], about(population))
+    assert found["return"]["by_episode"] == [2.5, 3.5] and found["return"]["slope"] == 1.0
+    assert found["probe"] == {"preference": {"1": None}, "body": {"1": None}}
+    truths = about(population)
+    assert truths["preference"].shape == (5, 7) and truths["body"].shape == (5, 4)
+    assert truths["body"][2].tolist() == pytest.approx([0.0, 5.0, 0.4, 1.0])
+
+
+def test_the_command_tells_every_episode(robots, tmp_path):
+    root, _ = robots
+    words = "--population", f"{root}/pop", "--in-a-row", 2, "--repeats", 1, "--out", tmp_path / "found.json"
+    printed = assistax_command("teamwork", "adapt", f"br={root}/br", *words).stdout
+    assert "2 episodes in a row" in printed and "\nbr " in printed
+    found = json.loads((tmp_path / "found.json").read_text())["methods"]["br"]
+    assert len(found["safe_success"]["by_episode"]) == 2 and found["probe"]["body"] == {}

@@ -46,15 +46,7 @@ def evaluate(
     choose("part", part, ["test", "val"])
     if out is not None and out.suffix != ".json":
         raise UsageError(f"--out must be a .json file, not {out}.")
-    if not methods:
-        raise UsageError("Name the runs whose robots are to be measured, for example best-response=runs/br.")
-    named: dict[str, list[Run]] = {}
-    for text in methods:
-        name, equals, places = text.rpartition("=")
-        runs = [Run.open(Path(place)) for place in places.split(",")]
-        if (label := name if equals else Path(places.split(",")[0]).name) in named:
-            raise UsageError(f"Two methods are called {label}; give each a name, NAME=RUN, or put them together.")
-        named[label] = runs
+    named = _named(methods)
     populations = {one: splits.named(f"{population}:{split}/{one}")[1] for one in ("train", part)}
     found = report(named, populations, episodes, best_responses={str(p): Run.open(p) for p in best_responses})
     for one in populations:
@@ -65,6 +57,54 @@ def evaluate(
     if out is not None:
         write_json(out, found)
         picture(found, out.with_suffix(".png"))
+
+
+def adapt(
+    methods: Methods,
+    *,
+    population: Annotated[Path, tyro.conf.arg(metavar="POP")],
+    split: str = "random",
+    part: str = "test",
+    in_a_row: Count = 5,
+    repeats: Count = 4,
+    out: File = None,
+) -> None:
+    """Let robots play several episodes in a row with each partner, and read from their memory with whom they were.
+
+    For example:
+      assistax train feeding --recurrent --partner human=populations/feeding:random/train --out runs/gru \\
+          --set env.human.redraw_every=3 env.human.visibility=human
+      assistax teamwork adapt gru=runs/gru oracle=runs/oracle --population populations/feeding
+
+    Args:
+      methods: runs whose robots are measured, with the method's name, as in `teamwork evaluate`.
+      population: the partners.
+      split: of the population, see `assistax population split`.
+      part: test for tables, val while developing.
+      in_a_row: episodes with the same partner, between which a robot keeps its memory.
+      repeats: such series with each partner.
+      out: a .json for all numbers.
+    """
+    from assistax.errors import choose
+    from assistax.files import write_json
+    from assistax.teamwork.adaptation import adaptation
+    from assistax.training import splits
+
+    choose("part", part, ["test", "val"])
+    if out is not None and out.suffix != ".json":
+        raise UsageError(f"--out must be a .json file, not {out}.")
+    partners = splits.named(f"{population}:{split}/{part}")[1]
+    found = adaptation(_named(methods), partners, in_a_row, repeats)
+    print(f"{found['task']}, {len(partners)} partners to {part}, {in_a_row} episodes in a row, {repeats} times each")
+    rows = []
+    for name, one in found["methods"].items():
+        read = [one["probe"][what].get("8", one["probe"][what].get("1")) for what in ("preference", "body")]
+        cells = [" ".join(f"{x:.3g}" for x in one[m]["by_episode"]) for m in ("return", "safe_success") if m in one]
+        rows.append([name, *cells, *("–" if x is None else f"{x:.2f}" for x in read)])
+    head = ["robot", "return by episode", "safe success", "preference read (R²)", "body read (R²)"]
+    print(aligned(head, rows))
+    if out is not None:
+        write_json(out, found)
 
 
 def validity(
@@ -103,4 +143,20 @@ def validity(
         matrix_picture(found, out.with_suffix(".png"))
 
 
-COMMANDS = {"evaluate": evaluate, "validity": validity}
+def _named(methods: tuple[str, ...]) -> dict:
+    """The runs of "NAME=RUN,RUN", by name."""
+    from assistax.training.run import Run
+
+    if not methods:
+        raise UsageError("Name the runs whose robots are to be measured, for example best-response=runs/br.")
+    named: dict[str, list[Run]] = {}
+    for text in methods:
+        name, equals, places = text.rpartition("=")
+        runs = [Run.open(Path(place)) for place in places.split(",")]
+        if (label := name if equals else Path(places.split(",")[0]).name) in named:
+            raise UsageError(f"Two methods are called {label}; give each a name, NAME=RUN, or put them together.")
+        named[label] = runs
+    return named
+
+
+COMMANDS = {"adapt": adapt, "evaluate": evaluate, "validity": validity}

@@ -50,7 +50,7 @@ def report(
       UsageError: a run of another task, whose robot did not learn, or that was trained with a partner of the test.
     """
     everyone = [run for runs in methods.values() for run in runs] + list((best_responses or {}).values())
-    _check(everyone, populations)
+    check_strangers(everyone, populations)
     found: dict[str, Any] = {"task": next(iter(populations.values())).task, "episodes": episodes, "seed": seed}
     found["partners"] = {part: list(population.ids) for part, population in populations.items()}
     for part, population in populations.items():
@@ -80,7 +80,6 @@ class Meetings:
 
     def __init__(self, config: TrainConfig, population: Population, episodes: int):
         self.population, self.episodes = population, episodes
-        self.preferring = any(person.preference != "none" for person in population.people)
         config = _meeting_config(config, population, visibility="both")
         self.plain = Meeting(Env(config.task, config.engine, config.env, config.task_config), population, episodes)
         self._made: dict[Any, Meeting] = {(config.env, config.task_config): self.plain}
@@ -90,15 +89,21 @@ class Meetings:
         config = _meeting_config(run.config, self.population)
         key = config.env, config.task_config
         if key not in self._made:
-            env = Env(config.task, config.engine, config.env, config.task_config)
-            if env.observation_sizes["robot"] != run.env.observation_sizes["robot"]:
-                raise UsageError(
-                    f"The robot of {run.folder} observes {run.env.observation_sizes['robot']} numbers, but beside "
-                    f"these partners {env.observation_sizes['robot']}: its people had {'no ' * self.preferring}"
-                    "preferences."
-                )
-            self._made[key] = Meeting(env, self.population, self.episodes)
+            self._made[key] = Meeting(meeting_env(run, self.population), self.population, self.episodes)
         return [self._made[key](team["robot"], seed) for team in run.teams()]
+
+
+def meeting_env(run: Run, population: Population) -> Env:
+    """The run's environment with the population's people in place of its own; its robot must be able to play there."""
+    config = _meeting_config(run.config, population)
+    env = Env(config.task, config.engine, config.env, config.task_config)
+    if env.observation_sizes["robot"] != run.env.observation_sizes["robot"]:
+        preferring = any(person.preference != "none" for person in population.people)
+        raise UsageError(
+            f"The robot of {run.folder} observes {run.env.observation_sizes['robot']} numbers, but beside these "
+            f"partners {env.observation_sizes['robot']}: its people had {'no ' * preferring}preferences."
+        )
+    return env
 
 
 def table(found: Mapping[str, Any], part: str = "test") -> tuple[list[str], list[list[str]]]:
@@ -152,11 +157,12 @@ def _about(run: Run) -> dict[str, Any]:
 def _meeting_config(config: TrainConfig, population: Population, **knowing: Any) -> TrainConfig:
     """The run's configuration with the population's people in place of its own."""
     who: dict[str, Any] = {"people": population.people, "disability": "none", "preference": "none", "random_share": 0.0}
+    who["redraw_every"] = 1
     human = dataclasses.replace(config.env.human, **who, **knowing)
     return dataclasses.replace(config, env=dataclasses.replace(config.env, human=human))
 
 
-def _check(runs: Sequence[Run], populations: Mapping[str, Population]) -> None:
+def check_strangers(runs: Sequence[Run], populations: Mapping[str, Population]) -> None:
     for population in populations.values():
         for run in runs:
             if run.config.task != population.task:
