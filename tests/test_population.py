@@ -177,6 +177,28 @@ def preferring_teams(population):
         yield dict(row), {agent: one.partner(agent) for agent in ("robot", "human")}
 
 
+def test_conventions_are_left_out_as_wholes(population):
+    """Three groups by whom they are served well, whatever the robots' levels."""
+    ids = list(population.ids)
+    group = np.arange(len(ids)) % 2
+    rng = np.random.default_rng(0)
+    returns = (
+        100.0 * (group[:, None] == group[None])
+        + rng.normal(size=(len(ids),) * 2)
+        + 50.0 * rng.normal(size=(len(ids), 1))
+    )
+    played = {"ids": ids, "matrix": {"return": returns.tolist()}}
+    parts = splits.split(population, "convention", crossplay=played)
+    of = dict(zip(ids, group, strict=True))
+    assert len({of[one] for one in parts["train"]}) == 1 and {of[one] for one in parts["train"]}.isdisjoint(
+        of[one] for one in parts["test"]
+    )
+    with pytest.raises(UsageError, match="needs a cross-play"):
+        splits.split(population, "convention")
+    with pytest.raises(UsageError, match="is of other members"):
+        splits.split(population, "convention", crossplay=played | {"ids": ids[1:]})
+
+
 def test_everybody_of_several_kinds_acts_as_alone(population, scratch):
     """PPO, another architecture and scripted people in one player, in training's way and in evaluation's."""
     other = PPO(scratch, dataclasses.replace(CONFIG, hidden=(4, 4), recurrent=True), 2, 1)

@@ -46,6 +46,7 @@ SPEC_FIELDS = {  # what versions may differ in beside settings, and how it is to
     "rest_pays": "reward term that an early end pays for the steps that are left",
 }
 SCENE_FIELDS = {
+    "start": "joint angles at which the robot starts, rad",
     "worked_on": "body parts that see the tool's speed and force",
     "regions": "harm is measured by region of the body",
     "speed_limits": "joints keep to their speed limits",

@@ -144,14 +144,13 @@ TASKS = {
                 lambda c, steps: steps * c.waist_scale * 1.0,
             ),
             "rotation": Term(
-                "{c.rotation_scale:g} · (2√2 − ‖R_hook − R_wrist‖_F) · exp(−d²/σ)",
+                "{c.rotation_scale:g} · (2√2 − ‖R_hook − R_wrist‖_F)",
                 lambda c, steps: steps * c.rotation_scale * 2.0 * 2.0**0.5,
             ),
         },
-        "d: distance from the tool point to the last {c.behind:g} m of a level way, from behind as one looks at it "
-        "from the waist, to a place on the forearm {c.grip:g} m from its middle toward the hand (m); d_H: distance "
-        "from the middle of the forearm to the waist target (m); σ = {r.SIGMA:g} m²; R: orientations as matrices; "
-        "paid: 1 while the arm is brought back (below), and otherwise {c.unsettled:g}",
+        "d: distance from the tool point to a place on the forearm {c.grip:g} m from its middle toward the hand (m); "
+        "d_H: distance from the middle of the forearm to the waist target (m); σ = {r.SIGMA:g} m²; R: orientations as "
+        "matrices; paid: 1 while the arm is brought back (below), and otherwise {c.unsettled:g}",
         "the middle of the forearm is within {c.waist_distance:g} m of the waist target",
         "{c.success_seconds:g} s in all in which it helps and the forearm is slower than {c.settled_speed:g} m/s, "
         "having been carried there below {c.carrying_speed:g} m/s (`seconds_at_waist`)",

@@ -73,6 +73,7 @@ PLAN: Schema = {  # of a population, see teamwork/plan.py
     "settings": {str: object},
 }
 SPLIT: Schema = {"train": [str], "val": [str], "test": [str]}
+VALIDITY: Schema = {"ids": [str], "matrix": {"return": [[float]]}}  # and more, see teamwork/validity.py
 EXPERTS: Schema = [{"task": str, "policy": str, "human": _PERSON, "mean_return": float}]
 PEOPLE: Schema = [_PERSON]
 

@@ -148,7 +148,9 @@ def verify(folder: Folder) -> None:
     print(f"{len(found)} members of {found.task}, all as they were saved")
 
 
-def split(folder: Folder, *, kind: str = "random", out: File = None, seed: Number = None) -> None:
+def split(
+    folder: Folder, *, kind: str = "random", crossplay: File = None, out: File = None, seed: Number = None
+) -> None:
     """Split a population into members to train with, to develop with and to test with.
 
     For example:
@@ -158,14 +160,19 @@ def split(folder: Folder, *, kind: str = "random", out: File = None, seed: Numbe
     Args:
       folder: of the population.
       kind: random (6 : 2 : 2), extreme (the paper's: train with the five who weigh speed most), interpolate or
-        extrapolate (by how hard moving is), disability, preference or algorithm (whole groups left out of training).
+        extrapolate (by how hard moving is), disability, preference or algorithm (whole groups left out of training),
+        convention (whole groups of people whom the same robots serve well).
+      crossplay: for convention, the .json of `assistax teamwork validity`.
       out: where the split goes, a .json (default: into the population).
       seed: of what is drawn (default 0).
     """
+    from assistax.files import read_json
+    from assistax.formats import VALIDITY
     from assistax.training import splits
     from assistax.training.population import Population
 
-    parts = splits.split(Population.load(folder), kind, seed or 0)
+    played = None if crossplay is None else read_json(crossplay, VALIDITY)
+    parts = splits.split(Population.load(folder), kind, seed or 0, played)
     path = out or splits.path_of(folder, kind)
     splits.save(path, parts)
     print(", ".join(f"{len(ids)} to {name}" for name, ids in parts.items()) + f", in {path}")

@@ -4,7 +4,7 @@ Paper: task "Arm Assist"; reward components r_t, r_t' and r_R. The wrist target 
 forearm, as in the paper's figure; d_H is its distance to the waist target.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import ClassVar
 
@@ -16,7 +16,7 @@ from assistax.pytree import pytree
 from assistax.scenes import RIGHT_ARM, SceneConfig, geometry, limited
 from assistax.tasks.base import Sensors, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import LEVEL, norm, reach, rotation, waist
+from assistax.tasks.rewards import norm, reach, rotation, waist
 
 
 @dataclass(frozen=True)
@@ -24,10 +24,6 @@ class ArmAssistConfig:
     waist_scale: float = 10.0  # of the waist term
     waist_width: float = 0.1  # m, from the waist, within which most of the waist term is paid
     rotation_scale: float = 0.1  # of the rotation term
-    # m, how long the way is on which the hook is to come to the forearm, from behind as one looks at it from the waist:
-    # the reach term is for the distance to that way, and the rotation term is multiplied by it. None: the reach term is
-    # for the distance to the forearm, and the rotation term pays alike everywhere.
-    behind: float | None = None
     grip: float = 0.0  # m, from the middle of the forearm toward the hand, to where the hook is to come
     unsettled: float = 1.0  # of the waist term is paid unless the forearm is brought back
     # What counts as brought back, and for how long in all it must last to be a success.
@@ -80,18 +76,13 @@ class ArmAssist:
     def reward_terms(self, s: Sensors, state: ArmAssistState):
         c = self.config
         paid = jnp.where(self._settled(s, state, state.thrown), 1.0, c.unsettled)
-        to_place = s["wrist_target_pos"] - s["tool_pos"]
+        to_grip = s["wrist_target_pos"] - s["tool_pos"]
         if c.grip:
-            to_place -= c.grip * geometry.matrix(s["wrist_target_quat"])[:, 2]  # the forearm's axis, to the elbow
-        turned = c.rotation_scale * rotation(self._rotation(s))
-        if c.behind is not None:
-            way = geometry.unit((s["waist_target_pos"] - s["wrist_target_pos"]) * LEVEL)
-            to_place -= jnp.clip(to_place @ way, 0.0, c.behind) * way
-            turned *= reach(norm(to_place))
+            to_grip -= c.grip * geometry.matrix(s["wrist_target_quat"])[:, 2]  # the forearm's axis, to the elbow
         return {
-            "reach": reach(norm(to_place)),
+            "reach": reach(norm(to_grip)),
             "waist": c.waist_scale * paid * waist(norm(s["waist_target_pos"] - s["wrist_target_pos"]), c.waist_width),
-            "rotation": turned,
+            "rotation": c.rotation_scale * rotation(self._rotation(s)),
         }
 
     def advance(self, s: Sensors, state: ArmAssistState) -> ArmAssistState:
@@ -138,6 +129,9 @@ _SCENE = SceneConfig(
     close=(-0.75, -1.15, 1.35, 0.0, -0.38, 0.75),
 )
 
+# 0.2 m behind the forearm, as one looks at it from the waist, and 0.06 m above, the hook turned to it.
+_BESIDE = (-0.6, -1.18, 0.9, -1.775, 0.86, 1.11, 1.97)
+
 SPECS = (
     TaskSpec(
         "arm_assist",
@@ -153,11 +147,10 @@ SPECS = (
         "arm_assist",
         1,
         ArmAssist,
-        limited(_SCENE, "forearm"),
+        replace(limited(_SCENE, "forearm"), ready=_BESIDE),
         ArmAssistConfig(
             waist_width=0.3,
             rotation_scale=1.0,
-            behind=0.1,
             grip=0.075,
             unsettled=0.7,
             settled_speed=0.1,

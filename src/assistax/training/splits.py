@@ -3,8 +3,9 @@
 A split is a JSON file of member ids, splits/KIND.json in the population's folder or anywhere else.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -87,10 +88,39 @@ KINDS: dict[str, Callable[[Population, np.random.Generator], Split]] = {
 }
 
 
-def split(population: Population, kind: str = "random", seed: int = 0) -> Split:
-    """A split of a kind in KINDS; the same whatever the order of the members. Earlier selves are in no part."""
+def by_convention(population: Population, rng: np.random.Generator, crossplay: Mapping[str, Any]) -> Split:
+    """Whole conventions are left out of training: people whom the same robots serve well.
+
+    `crossplay` is what `teamwork validity` wrote: "ids", and "matrix" by measure, robots by people, both in that order.
+    """
+    from scipy.cluster.hierarchy import fcluster, linkage
+
+    if set(crossplay["ids"]) != set(population.ids):
+        raise UsageError("The cross-play is of other members; make it anew with `assistax teamwork validity`.")
+    returns = np.array(crossplay["matrix"]["return"])
+    profiles = (returns - returns.mean(1, keepdims=True)) / (returns.std(1, keepdims=True) + 1e-9)
+    number = max(2, round(len(profiles) ** 0.5))
+    conventions = fcluster(linkage(profiles.T, "ward"), number, "maxclust")
+    of = dict(zip(crossplay["ids"], conventions.tolist(), strict=True))
+    return _groups(population, rng, lambda row: of[row["id"]], "convention")
+
+
+CONVENTION = "convention"
+
+
+def split(
+    population: Population, kind: str = "random", seed: int = 0, crossplay: Mapping[str, Any] | None = None
+) -> Split:
+    """A split of a kind in KINDS, or by `crossplay` of the CONVENTION.
+
+    The same whatever the order of the members. Earlier selves are in no part.
+    """
+    choose("kind", kind, [*KINDS, CONVENTION])
+    if (kind == CONVENTION) != (crossplay is not None):
+        raise UsageError(f"The split by {CONVENTION}, and no other, needs a cross-play (--crossplay).")
     final = population.select([row["id"] for row in population.rows if "fraction" not in row])
-    return check(population, KINDS[choose("kind", kind, KINDS)](final, np.random.default_rng(seed)))
+    rng = np.random.default_rng(seed)
+    return check(population, KINDS[kind](final, rng) if crossplay is None else by_convention(final, rng, crossplay))
 
 
 def check(population: Population, parts: Split) -> Split:
