@@ -150,15 +150,14 @@ SPECS = (
         replace(limited(_SCENE, "forearm"), ready=_BESIDE),
         ArmAssistConfig(
             waist_width=0.3,
-            rotation_scale=1.0,
             grip=0.075,
             unsettled=0.7,
             settled_speed=0.1,
             carrying_speed=0.5,
         ),
         expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
-        bound=13828,
-        preference_budget=5.531,
+        bound=11280,
+        preference_budget=4.512,
         preferences_need_help=True,
     ),
 )
