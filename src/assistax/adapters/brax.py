@@ -8,6 +8,7 @@ ppo.train(env, wrap_env_fn=wrap, episode_length=env.episode_length, num_timestep
 """
 
 import dataclasses
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -96,7 +97,7 @@ class AgentEnv(BraxEnv):
         """(state, observations [n, observation_size], metrics), for keys [n] and `elapsed` as in Env.reset."""
         obs, state = self._batch.reset(self._players, keys, elapsed)
         action = jnp.zeros((len(keys), self.action_size))
-        names = jax.eval_shape(self._step, "disabled", state, action)[1].metrics
+        names = jax.eval_shape(partial(self._step, "disabled"), state, action)[1].metrics
         return state, self._observed(obs, state), dict.fromkeys(names, jnp.zeros(len(keys)))
 
     def advance(self, autoreset: str, state: State, action: jax.Array) -> tuple[BatchState, "Told"]:
