@@ -12,9 +12,9 @@ from assistax.adapters.partner import batch_of
 from assistax.policies import Player, Still
 
 pytest.importorskip("brax", reason="needs the extra brax")
-from brax.envs.wrappers import training as theirs  # noqa: E402
+from brax.envs.wrappers import training as theirs
 
-from assistax.adapters.brax import AgentEnv, wrap  # noqa: E402
+from assistax.adapters.brax import AgentEnv, wrap
 
 LENGTH, NUM_ENVS = 6, 2
 

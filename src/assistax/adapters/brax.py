@@ -206,7 +206,7 @@ class FreshEpisodes(Wrapper):
         info = {
             "key": after.key,
             "steps": state.info["steps"] * going_on + 1.0,
-            "truncation": step.truncated,
+            "truncation": step.truncated,  # Brax's PPO drops such a step, as unbiased as bootstrapping from it
             "time_out": step.truncated,
             "episode_done": done,
             "episode_metrics": {name: so_far[name] * going_on + x for name, x in counted.items()},

@@ -1,6 +1,7 @@
 """One agent in Gymnasium, beside a frozen partner.
 
-Importing this file registers every task:
+Importing this file registers every task; Gymnasium 1.0 and later find no environments by themselves, but import what
+stands before a colon: gym.make("assistax.adapters.gymnasium:assistax/scratch-v1").
 
     import gymnasium as gym
     import assistax.adapters.gymnasium
