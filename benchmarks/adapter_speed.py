@@ -1,6 +1,6 @@
 """What an adapter costs: environment steps per second, as a share of the functional loop's.
 
-uv run --extra torch python benchmarks/adapter_speed.py
+uv run --extra torchrl python benchmarks/adapter_speed.py
 
 All step the same environments with the same actions beside a still human, for one episode a round, its reset included.
 They take turns in every round, and the share is the median over rounds of that of the round: whatever else the machine
@@ -102,6 +102,22 @@ def torch(env: Env, actions: dict[str, np.ndarray]) -> Run:
     return stepped(env, many, from_numpy(actions["robot"]).to(many.device))
 
 
+def torchrl(env: Env, actions: dict[str, np.ndarray]) -> Run:
+    from torch import from_numpy
+
+    from assistax.adapters.torchrl import TorchRLEnv
+
+    many = TorchRLEnv(env, len(actions["robot"]))
+    action, now = from_numpy(actions["robot"]).to(many.device), many.reset()
+
+    def run():
+        nonlocal now
+        for _ in range(env.episode_length):
+            _, now = many.step_and_maybe_reset(now.set("action", action))
+
+    return run
+
+
 def gymnasium_single(env: Env, actions: dict[str, np.ndarray]) -> Run:
     from assistax.adapters.gymnasium import AgentEnv
 
@@ -129,6 +145,7 @@ BATCHED = {
     "Brax, `wrap`": brax,
     "Brax, its own wrappers": lambda env, actions: brax(env, actions, own_wrappers=True),
     "PyTorch": torch,
+    "TorchRL": torchrl,
     "Gymnasium, batched": gymnasium,
 }
 SINGLE = {"functional loop": functional, "Gymnasium": gymnasium_single, "PettingZoo": pettingzoo}

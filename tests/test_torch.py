@@ -109,7 +109,56 @@ def test_what_torch_cannot_have_is_refused_in_one_line(env, call, words):
     assert "\n" not in str(error.value)
 
 
+def test_a_torch_that_cannot_reach_jaxs_device_is_refused_in_one_line(env, monkeypatch):
+    def refuse(array):
+        raise AssertionError("Torch not compiled with CUDA enabled\nmore")
+
+    monkeypatch.setattr(torch, "from_dlpack", refuse)
+    with pytest.raises(assistax.UsageError, match="not compiled with CUDA.*JAX_PLATFORMS=cpu") as error:
+        TorchEnv(env)
+    assert "\n" not in str(error.value)
+
+
 def begun(env, **settings):
     many = TorchEnv(env, NUM_ENVS, **settings)
     many.reset(seed=0)
     return many
+
+
+# -- TorchRL ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def rl():
+    return pytest.importorskip("assistax.adapters.torchrl", exc_type=assistax.UsageError)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("agent", ["human", "both"])
+def test_torchrls_checker(env, rl, agent):
+    from torchrl.envs.utils import check_env_specs
+
+    many = rl.TorchRLEnv(env, NUM_ENVS, agent=agent)
+    check_env_specs(many, break_when_any_done="both", seed=0)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_torchrls_rollouts_are_what_the_tensors_are(env, rl):
+    """Over two ends; episodes that have ended begin as the step drew them, others by a reset of their own."""
+    many, plain = rl.TorchRLEnv(env, NUM_ENVS, agent="both"), TorchEnv(env, NUM_ENVS, agent="both")
+    many.set_seed(0)
+    took = many.rollout(2 * LENGTH + 1, break_when_any_done=False)
+    obs = plain.reset(seed=0)
+    for i in range(2 * LENGTH + 1):
+        now = took[:, i]
+        step = plain.step({agent: now[agent, "action"][:, 0] for agent in env.agents})
+        for agent in env.agents:
+            assert (now[agent, "observation"][:, 0] == obs[agent]).all()
+            assert (now["next", agent, "observation"][:, 0] == step.info["final_observation"][agent]).all()
+            assert (now["next", agent, "reward"][:, 0, 0] == step.reward).all()
+        assert (now["next", "truncated"][:, 0] == step.truncated).all()
+        obs = step.obs
+    mask = torch.arange(NUM_ENVS) < 3
+    fresh = many.reset(now["next"].clone().set("_reset", mask.unsqueeze(1)))
+    changed = (fresh["robot", "observation"] != now["next", "robot", "observation"]).flatten(1).any(1)
+    assert changed.tolist() == mask.tolist()

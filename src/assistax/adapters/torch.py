@@ -78,7 +78,14 @@ class TorchEnv:
         self._batch, self._players = beside(task, agent, partner, engine, settings, both=True)
         self.assistax, self.agent, self.num_envs = self._batch.env, agent, num_envs
         self.agents = self.assistax.agents if agent == BOTH else (agent,)
-        self.device = torch.from_dlpack(jnp.zeros(1)).device
+        try:
+            self.device = torch.from_dlpack(jnp.zeros(1)).device
+        except Exception as error:  # of many kinds
+            what = str(error).partition("\n")[0]
+            raise UsageError(
+                f"This PyTorch cannot share memory with JAX on {jax.default_backend()} ({what}); install one that can, "
+                "or set JAX_PLATFORMS=cpu."
+            ) from None
         self._rng, self._state = np.random.default_rng(), None
 
     def reset(self, seed: int | None = None, mask: torch.Tensor | None = None):

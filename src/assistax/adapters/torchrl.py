@@ -10,7 +10,6 @@ from typing import Any
 
 from assistax.adapters import missing
 from assistax.adapters.partner import BOTH, Who
-from assistax.adapters.torch import TorchEnv
 from assistax.env import Env
 
 try:
@@ -20,6 +19,8 @@ try:
     from torchrl.envs import EnvBase
 except ImportError as error:
     raise missing(error, "torchrl") from None
+
+from assistax.adapters.torch import TorchEnv
 
 
 class TorchRLEnv(EnvBase):
@@ -48,7 +49,7 @@ class TorchRLEnv(EnvBase):
         engine: str = "auto",
         **settings: Any,
     ):
-        many = TorchEnv(task, num_envs, agent=agent, partner=partner, engine=engine, **settings)
+        many = TorchEnv(task, num_envs, agent=agent, partner=partner, engine=engine, autoreset="same_step", **settings)
         super().__init__(device=many.device, batch_size=[num_envs])
         self._many, self._latest, self._seed = many, None, None
         self.assistax, self.group_map = many.assistax, {one: [one] for one in many.agents}
@@ -60,25 +61,24 @@ class TorchRLEnv(EnvBase):
             seen[one] = Unbounded((*size, env.observation_sizes[one]), device=many.device)
             acted[one] = Bounded(-1.0, 1.0, (*size, env.action_sizes[one]), device=many.device)
             paid[one] = Unbounded((*size, 1), device=many.device)
-        told = {
-            "success": Unbounded((n, 1), dtype=torch.bool, device=many.device),
-            "cost": Unbounded((n, 1), device=many.device),
-        }
-        self.observation_spec = self._composite("observation", seen, **told)
+
+        def flag():
+            return Unbounded((n, 1), dtype=torch.bool, device=many.device)
+
+        cost = Unbounded((n, 1), device=many.device)
+        self.observation_spec = self._composite("observation", seen, success=flag(), cost=cost)
         self.action_spec = self._composite("action", acted)
         self.reward_spec = self._composite("reward", paid)
-        flags = ("done", "terminated", "truncated")
-        self.done_spec = self._composite(
-            "", {}, **{name: Unbounded((n, 1), dtype=torch.bool, device=many.device) for name in flags}
-        )
+        self.done_spec = Composite(done=flag(), terminated=flag(), truncated=flag(), shape=(n,))
 
     def _composite(self, name: str, by_agent: dict[str, Any], **more: Any) -> Composite:
         shape = self.batch_size
         if self._grouped:
-            groups = {one: Composite({name: spec}, shape=(*shape, 1)) for one, spec in by_agent.items()}
-        else:
-            groups = {name: spec for spec in by_agent.values()}
-        return Composite(groups | more, shape=shape)
+            return Composite(
+                {one: Composite({name: x}, shape=(*shape, 1)) for one, x in by_agent.items()} | more, shape=shape
+            )
+        (spec,) = by_agent.values()
+        return Composite({name: spec} | more, shape=shape)
 
     def _told(self, name: str, by_agent: Any) -> dict[str, Any]:
         """What is by agent, under TorchRL's keys."""
@@ -89,7 +89,7 @@ class TorchRLEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         chosen = None if tensordict is None else tensordict.get("_reset", None)
-        if chosen is None or self._latest is None or chosen.all() and not self._ended.all():
+        if chosen is None or self._latest is None or (chosen.all() and not self._ended.all()):
             self._latest = self._many.reset(self._seed)
             self._seed = None
         else:
@@ -109,11 +109,9 @@ class TorchRLEnv(EnvBase):
             actions = tensordict["action"]
         step = self._many.step(actions)
         self._latest, self._ended = step.obs, step.terminated | step.truncated
-        reward = step.reward.unsqueeze(-1)
-        told = self._told("observation", step.info["final_observation"])
-        paid = self._told("reward", dict.fromkeys(self.group_map, reward) if self._grouped else reward)
-        for one in paid:
-            told[one] = told[one].update(paid[one]) if one in told else paid[one]
+        told, reward = self._told("observation", step.info["final_observation"]), step.reward.unsqueeze(-1)
+        for group in [told[one] for one in self.group_map] if self._grouped else [told]:
+            group["reward"] = reward.unsqueeze(-1) if self._grouped else reward
         flags = {"done": self._ended, "terminated": step.terminated, "truncated": step.truncated}
         flags |= {"success": step.info["metrics"]["success"] > 0, "cost": step.info["cost"]}
         return self._dict(told | {name: flag.unsqueeze(-1) for name, flag in flags.items()})
