@@ -114,7 +114,7 @@ def test_a_torch_that_cannot_reach_jaxs_device_is_refused_in_one_line(env, monke
         raise AssertionError("Torch not compiled with CUDA enabled\nmore")
 
     monkeypatch.setattr(torch, "from_dlpack", refuse)
-    with pytest.raises(assistax.UsageError, match="not compiled with CUDA.*JAX_PLATFORMS=cpu") as error:
+    with pytest.raises(assistax.UsageError, match=r"not compiled with CUDA.*JAX_PLATFORMS=cpu") as error:
         TorchEnv(env)
     assert "\n" not in str(error.value)
 
