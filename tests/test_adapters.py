@@ -340,7 +340,7 @@ def test_jaxmarls_interface(env, same_sizes):
 # -- all of them -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("package", ["gymnasium", "pettingzoo", "brax", "torch", "torchrl"])
+@pytest.mark.parametrize("package", ["gymnasium", "pettingzoo", "brax", "torch", "torchrl", "benchmarl"])
 def test_a_package_that_is_missing_is_named_with_its_extra(package, monkeypatch):
     for module in {package, *(name for name in sys.modules if name.startswith(f"{package}."))}:
         monkeypatch.setitem(sys.modules, module, None)

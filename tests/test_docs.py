@@ -35,7 +35,7 @@ def test_the_code_of_a_page_runs(page, tmp_path, registries, capsys, monkeypatch
     assert "nan" not in capsys.readouterr().out
 
 
-NOT_OURS = ("torch", "torchrl", "stable_baselines3")  # too large for the test set
+NOT_OURS = ("torch", "torchrl", "benchmarl", "stable_baselines3")  # too large for the test set
 
 
 def can_run(block):
