@@ -1,6 +1,6 @@
 """Our PPO beside that of Brax (Freeman et al., 2021), with which MuJoCo Playground trains.
 
-uv run --group compare python benchmarks/reference_ppo.py
+uv run python benchmarks/reference_ppo.py
 
 Only the robot learns; the human is still. All trainers see the same environments, staggered alike and with fresh
 targets in every episode, for the same number of steps; their policies are played by `assistax.evaluation.play` on
@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import tyro
 from tqdm import tqdm
@@ -37,15 +36,13 @@ from assistax.stamp import stamp
 from assistax.training import presets
 
 try:
-    from brax.envs.base import State
     from brax.training.agents.ppo import train as brax_ppo
     from brax.training.agents.ppo.networks import make_ppo_networks
     from brax.training.networks import ACTIVATION, KERNEL_INITIALIZER
-except ImportError:
-    sys.exit("Brax is missing. Run this as: uv run --group compare python benchmarks/reference_ppo.py")
 
-if not hasattr(jax, "device_put_replicated"):  # Brax 0.14.2 calls what JAX 0.10 no longer has
-    jax.device_put_replicated = lambda tree, devices: jax.tree.map(lambda x: jnp.stack([x] * len(devices)), tree)
+    from assistax.adapters.brax import AgentEnv, wrap
+except ImportError:
+    sys.exit("Brax is missing. Run this as: uv run python benchmarks/reference_ppo.py")
 
 EPISODES = 64
 
@@ -80,35 +77,6 @@ def train_ours(env: Env, config: PPOConfig, num_envs: int, steps: int, seed: int
 
 
 # -- Brax's ----------------------------------------------------------------------------------------
-
-
-class RobotBesideStill:
-    """A batch of our environments with the interface of `brax.envs.Env`: one agent, the robot, and automatic resets."""
-
-    def __init__(self, env: Env):
-        self.env = env
-        self.observation_size, self.action_size = env.observation_sizes["robot"], env.action_sizes["robot"]
-
-    def reset(self, rng: jax.Array) -> State:
-        """`rng` holds a key for each environment; these start at different times of their episodes, as in PPO.init."""
-        n = len(rng)
-        keys, reset_keys = jnp.moveaxis(jax.vmap(jax.random.split)(rng), 1, 0)
-        obs, state = jax.vmap(self.env.reset)(reset_keys, jnp.arange(n) * self.env.episode_length // n)
-        zeros = jnp.zeros(n)
-        info = {"keys": keys, "truncation": zeros, "episode_done": zeros, "episode_metrics": {}}
-        return State(state, obs["robot"], zeros, zeros, info=info)
-
-    def step(self, state: State, action: jax.Array) -> State:
-        keys, step_keys = jnp.moveaxis(jax.vmap(jax.random.split)(state.info["keys"]), 1, 0)
-        actions = {"robot": action, "human": jnp.zeros((len(action), self.env.action_sizes["human"]))}
-        after = jax.vmap(self.env.step)(step_keys, state.pipeline_state, actions)
-        obs, env_state, rewards, terminated, truncated, info = after
-        done = jnp.float32(terminated["__all__"] | truncated["__all__"])
-        # Brax drops a step that ends at the time limit, which is as unbiased as bootstrapping it.
-        ends = {"truncation": jnp.float32(truncated["__all__"]), "episode_done": done}
-        # Faults reach us through its losses.
-        reward = jnp.where(info["fault"] == 0, rewards["robot"], jnp.nan)
-        return State(env_state, obs["robot"], reward, done, info=state.info | ends | {"keys": keys})
 
 
 @dataclass(frozen=True)
@@ -148,12 +116,13 @@ def train_brax(env: Env, settings: dict[str, Any], steps: int, seed: int) -> Tra
 
     with bar:
         make_policy, params, _ = brax_ppo.train(
-            RobotBesideStill(env),
+            AgentEnv(env),
             num_timesteps=iterations * per_iteration,
             num_evals=iterations + 1,  # so that it reports after every iteration
             run_evals=False,
             num_eval_envs=1,
-            wrap_env=False,
+            # Environments start at different times of their episodes, as in PPO.init.
+            wrap_env_fn=functools.partial(wrap, staggered=True),
             episode_length=env.episode_length,
             network_factory=functools.partial(make_ppo_networks, **networks),
             progress_fn=progress,

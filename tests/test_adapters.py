@@ -1,5 +1,6 @@
 """Other packages' checkers on the adapters, and what these add: partners, automatic resets, seeds."""
 
+import subprocess
 import sys
 from dataclasses import dataclass
 
@@ -100,6 +101,12 @@ def test_a_partner_that_does_not_fit_is_refused_in_one_line(env, agent, who, wor
 
 def test_every_task_is_registered():
     assert {f"assistax/{task}" for task in assistax.TASKS} == {name for name in gym.registry if "assistax" in name}
+
+
+def test_a_task_is_made_without_an_import():
+    code = "import gymnasium; print(gymnasium.make('assistax.adapters.gymnasium:assistax/scratch-v1'))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert "AgentEnv<assistax/scratch-v1>" in done.stdout, done.stderr
 
 
 @pytest.mark.parametrize("agent", ["robot", "human"])
@@ -333,9 +340,10 @@ def test_jaxmarls_interface(env, same_sizes):
 # -- all of them -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("package", ["gymnasium", "pettingzoo"])
+@pytest.mark.parametrize("package", ["gymnasium", "pettingzoo", "brax", "torch", "torchrl", "benchmarl"])
 def test_a_package_that_is_missing_is_named_with_its_extra(package, monkeypatch):
-    monkeypatch.setitem(sys.modules, package, None)
+    for module in {package, *(name for name in sys.modules if name.startswith(f"{package}."))}:
+        monkeypatch.setitem(sys.modules, module, None)
     monkeypatch.delitem(sys.modules, f"assistax.adapters.{package}", raising=False)
     with pytest.raises(assistax.UsageError, match=rf"pip install 'assistax\[{package}\]'") as error:
         __import__(f"assistax.adapters.{package}")

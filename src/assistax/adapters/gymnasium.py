@@ -1,6 +1,7 @@
 """One agent in Gymnasium, beside a frozen partner.
 
-Importing this file registers every task:
+Importing this file registers every task; Gymnasium 1.0 and later find no environments by themselves, but import what
+stands before a colon: gym.make("assistax.adapters.gymnasium:assistax/scratch-v1").
 
     import gymnasium as gym
     import assistax.adapters.gymnasium
@@ -17,7 +18,7 @@ import numpy as np
 
 from assistax.adapters import missing
 from assistax.adapters.farama import METADATA, Pictures, as_gymnasium, of_one, on_host
-from assistax.adapters.partner import Batch, Who, batch_of, check_action, episode_keys, find_player, other_agent
+from assistax.adapters.partner import Who, beside, check_action, episode_keys
 from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.physics import check_faults
@@ -76,7 +77,7 @@ class AgentEnv(gym.Env[np.ndarray, np.ndarray]):
         render_mode: str | None = None,
         **settings: Any,
     ):
-        self._batch, self._players = _beside(task, agent, partner, engine, settings)
+        self._batch, self._players = beside(task, agent, partner, engine, settings)
         self.assistax, self.agent, self.render_mode = self._batch.env, agent, render_mode
         self.observation_space = as_gymnasium(self.assistax.observation_space(agent))
         self.action_space = as_gymnasium(self.assistax.action_space(agent))
@@ -138,7 +139,7 @@ class AgentVectorEnv(gym.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         except ValueError:
             known = ", ".join(mode.value for mode in AutoresetMode)
             raise UsageError(f"Unknown autoreset_mode {autoreset_mode!r}. Known: {known}.") from None
-        self._batch, self._players = _beside(task, agent, partner, engine, settings)
+        self._batch, self._players = beside(task, agent, partner, engine, settings)
         self.assistax, self.agent, self.render_mode = self._batch.env, agent, render_mode
         self.num_envs, self.metadata = num_envs, METADATA | {"autoreset_mode": self.autoreset_mode}
         self.single_observation_space = as_gymnasium(self.assistax.observation_space(agent))
@@ -230,12 +231,6 @@ _NAMES = {
     AutoresetMode.SAME_STEP: "same_step",
     AutoresetMode.DISABLED: "disabled",
 }
-
-
-def _beside(task, agent, partner, engine, settings) -> tuple[Batch, dict]:
-    batch = batch_of(task, engine, settings)
-    other = other_agent(batch.env, agent)
-    return batch, {other: find_player(partner, batch.env, other)}
 
 
 def _masked(info: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:

@@ -42,12 +42,6 @@ def find_player(who: Who, env: Env, agent: str) -> Player:
     return who
 
 
-def other_agent(env: Env, agent: str) -> str:
-    """The partner of this agent."""
-    choose("agent", agent, env.agents)
-    return next(other for other in env.agents if other != agent)
-
-
 def episode_keys(rng: np.random.Generator, n: int) -> jax.Array:
     """n keys drawn from NumPy's generator."""
     return jax.random.wrap_key_data(jnp.asarray(rng.integers(2**32, size=(n, 2), dtype=np.uint32)))
@@ -175,6 +169,24 @@ def batch_of(task: str | Env, engine: str = "auto", settings: Mapping[str, Any] 
     except TypeError:
         return Batch(make(task, engine, **settings))
     return _batch_of_env(_env_of(task_spec(task), engine, tuple(sorted(settings.items()))))
+
+
+BOTH = "both"  # agents learn; there is no partner
+
+
+def beside(
+    task: str | Env, agent: str, partner: Who, engine: str, settings: Mapping[str, Any], both: bool = False
+) -> tuple[Batch, dict[str, Player]]:
+    """The programs for one agent, and by agent who plays the other; with `both`, the agent may be BOTH: nobody."""
+    batch = batch_of(task, engine, settings)
+    agents = batch.env.agents
+    choose("agent", agent, (*agents, BOTH) if both else agents)
+    if agent == BOTH:
+        if partner != "still":
+            raise UsageError(f'With agent="{BOTH}" nobody is left for a partner to play; leave the partner out.')
+        return batch, {}
+    other = next(other for other in agents if other != agent)
+    return batch, {other: find_player(partner, batch.env, other)}
 
 
 @lru_cache(maxsize=4)
