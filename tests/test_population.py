@@ -285,7 +285,8 @@ def test_the_command_gathers_finished_runs(tmp_path, monkeypatch):
     assert loop.train(run)
     pop = tmp_path / "pop"
     assert "2 members of scratch-v1" in assistax_command("population", "make", pop, tmp_path / "run").stdout
-    listed = assistax_command("population", "show", pop).stdout
+    listed = assistax_command("population", "show", pop, "--out", tmp_path / "who.png").stdout
+    assert (tmp_path / "who.png").stat().st_size > 5000
     assert listed.count("tremor") == 2 and "seed 1" in listed and "safely" in listed.splitlines()[0]
     assert "2 members of scratch-v1, all as they were saved" in assistax_command("population", "verify", pop).stdout
     own, stored = run.teams()[1]["human"], Population.load(pop).partner("human", deterministic=True)

@@ -117,17 +117,23 @@ def merge(folder: Folder, populations: Others) -> None:
     print(f"{len(made)} members of {made.task} in {folder}")
 
 
-def show(folder: Folder) -> None:
+def show(folder: Folder, *, out: File = None) -> None:
     """List the members of a population: who they are, how they were trained, what they reach.
 
     Args:
       folder: of the population.
+      out: a .png of who there is and what they reach.
     """
     from assistax.cli.common import aligned
+    from assistax.teamwork.portrait import portrait
     from assistax.training.population import Population
 
-    rows = []
-    for row in Population.load(folder).rows:
+    if out is not None and out.suffix != ".png":
+        raise UsageError(f"--out must be a .png file, not {out}.")
+    found, rows = Population.load(folder), []
+    if out is not None:
+        portrait(found, out)
+    for row in found.rows:
         who, how = row["person"], row.get("habit") or f"{row['algorithm']}, seed {row['seed']}"
         cells = [row["id"][:12], who["disability"], who["preference"], how, f"{row['steps'] / 1e6:.1f} M"]
         cells += [f"{row['mean_return']:.0f}" if "mean_return" in row else ""]

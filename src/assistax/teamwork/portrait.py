@@ -1,0 +1,61 @@
+"""A picture of a population: who there is, and what they reach with the robots that they learned with."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.figure import Figure
+
+from assistax.errors import UsageError
+from assistax.human.variety import PREFERENCES
+from assistax.results.figures import STYLE
+from assistax.training.population import Population
+
+MANY = 12  # columns, up to which cells are labelled
+
+
+def portrait(population: Population, path: Path) -> None:
+    """Safe success and return in self-play, a row for each body and a column for each preference or habit.
+
+    A cell is the mean over the algorithms and seeds of this person; nobody is there where it is empty.
+    """
+    rows = [row for row in population.rows if "fraction" not in row and "mean_return" in row]
+    if not rows:
+        raise UsageError("No member of this population says what it reaches; there is nothing to draw.")
+    bodies = list(dict.fromkeys(row["person"]["disability"] for row in rows))
+    tastes = list(dict.fromkeys(row["person"]["preference"] for row in rows))
+    cells: dict[str, np.ndarray] = {}
+    for name in ("safe_success_rate", "mean_return"):
+        cells[name] = np.full((len(bodies), len(tastes)), np.nan)
+        for i, body in enumerate(bodies):
+            for j, taste in enumerate(tastes):
+                mine = [r[name] for r in rows if r["person"] == {"disability": body, "preference": taste} and name in r]
+                if mine:
+                    cells[name][i, j] = np.mean(mine)
+    with rc_context(STYLE):
+        figure = Figure(figsize=(3.4 + 1.6 * min(len(tastes), MANY), 1.6 + 0.36 * len(bodies)), layout="constrained")
+        titles = {"safe_success_rate": "safe success", "mean_return": "return"}
+        for axes, (name, values) in zip(figure.subplots(1, 2, sharey=True), cells.items(), strict=True):
+            top = 1.0 if name == "safe_success_rate" else None
+            axes.imshow(values, aspect="auto", vmin=0.0, vmax=top, cmap="viridis")
+            middle = np.nanmax(values) / 2
+            for (i, j), value in np.ndenumerate(values if len(tastes) <= MANY else values[:0]):
+                text = "" if np.isnan(value) else f"{value:.0%}" if top else f"{value:.0f}"
+                axes.text(
+                    j, i, text, ha="center", va="center", color="white" if value < middle else "black", fontsize=8
+                )
+            if len(tastes) <= MANY:
+                axes.set_xticks(range(len(tastes)), [_short(taste) for taste in tastes], fontsize=7)
+            else:
+                axes.set_xlabel(f"{len(tastes)} preferences")
+            axes.set_yticks(range(len(bodies)), bodies)
+            axes.set_title(titles[name])
+            axes.grid(visible=False)
+        figure.suptitle(f"{population.task}: {len(rows)} members with their own robots", fontsize=10)
+        figure.savefig(path, dpi=150)
+
+
+def _short(preference: str) -> str:
+    """The name of a preference that has one, else its words below each other."""
+    names = {words: name for name, words in PREFERENCES.items()}
+    return names.get(preference, preference.replace(" ", "\n"))
