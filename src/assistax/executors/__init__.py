@@ -1,0 +1,1 @@
+"""Lists of independent jobs, on however many processes and machines: jobs.py, claims.py, drive.py, and the executors."""
