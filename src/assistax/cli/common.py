@@ -30,6 +30,7 @@ Switch = Annotated[bool, arg(help_behavior_hint="")]
 Partner = Annotated[tuple[str, ...], arg(metavar="AGENT=WHO ...", help_behavior_hint="")]
 Words = Annotated[tuple[str, ...], arg(metavar="NAME ...", help_behavior_hint="")]
 Json = Annotated[bool, arg(name="json", help_behavior_hint="")]
+ExecutorSet = Annotated[tuple[str, ...], arg(metavar="NAME=VALUE ...", help_behavior_hint="")]
 Set = Annotated[tuple[str, ...], arg(name="set", metavar="NAME=VALUE ...", help_behavior_hint="")]
 
 

@@ -1,1 +1,1 @@
-"""Lists of independent jobs, on however many processes and machines: jobs.py, claims.py, drive.py, and the executors."""
+"""Lists of independent jobs, done by however many processes on however many machines."""

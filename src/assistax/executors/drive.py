@@ -1,7 +1,7 @@
 """Having a list of jobs done by an executor, and seeing how far it is.
 
-What is done, by whom, and what failed is read from the folder of the jobs alone. So the driver can be killed and started
-again, beside workers of an earlier one, too, and shows the same whatever the executor.
+What is done, by whom, and what failed is read from the folder of the jobs alone. So the driver can be killed and
+started again, beside workers of an earlier one, too, and shows the same whatever the executor.
 """
 
 import importlib
@@ -57,8 +57,8 @@ def drive(
     jobs: Sequence[Job],
     using: Executor,
     command: Sequence[str],
-    workers: int | None = None,
-    bar: Callable[[int, int], tqdm] | None = None,
+    workers: int | None,
+    bar: Callable[[int, int], tqdm],
 ) -> bool:
     """Have the jobs done whose claims and logs lie in `folder`, by processes of `command`, which calls `jobs.work`.
 
@@ -79,7 +79,7 @@ def drive(
     workers = using.room(workers, max(1, len(now.open)))
     crew: list[Any] = []
     fruitless, started, begun = 0, 0, 0
-    with (bar or tqdm)(total, now.done) as shown:
+    with bar(total, now.done) as shown:
         try:
             while now.finished < len(jobs):
                 found = {name: paths[before.get(name, 0) :] for name, paths in claims(folder).items()}
@@ -92,18 +92,13 @@ def drive(
                     raise UsageError(f"Workers end before they begin a job: {_last_line(folder / 'logs')}")
                 busy = max(len(crew), now.held)  # workers of an earlier driver may be at work, too
                 if (more := min(workers - busy, free - max(0, len(crew) - now.held), len(jobs))) > 0:
-                    logs = [
-                        folder / "logs" / f"{time.strftime('%Y%m%d-%H%M%S')}-{started + i}.log" for i in range(more)
-                    ]
-                    with writing(folder):
-                        (folder / "logs").mkdir(parents=True, exist_ok=True)
-                        crew += using.start(command, logs)
+                    crew += using.start(command, _logs(folder / "logs", started, more))
                     started += more
                 elif failed and not free and not now.held:
                     name, why = min(failed.items())
                     raise UsageError(
-                        f"{len(failed)} of {len(jobs)} jobs failed, {name} for one: {why.rstrip('.')}. What is finished "
-                        f"stays; see {folder / 'logs'}."
+                        f"{len(failed)} of {len(jobs)} jobs failed, {name} for one: {why.rstrip('.')}. What is "
+                        f"finished stays; see {folder / 'logs'}."
                     )
                 shown.set_description(f"{now.finished} of {len(jobs)} finished, {now.held} at work", refresh=False)
                 time.sleep(max(using.seconds, len(jobs) / 500))
@@ -118,10 +113,16 @@ def drive(
     return status(folder, jobs, known).finished == len(jobs)
 
 
+def _logs(folder: Path, first: int, count: int) -> list[Path]:
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+    now = time.strftime("%Y%m%d-%H%M%S")
+    return [folder / f"{now}-{i}.log" for i in range(first, first + count)]
+
+
 def _last_line(logs: Path) -> str:
     """Of the newest log that says anything."""
     for path in sorted(logs.glob("*.log"), reverse=True):
-        if lines := path.read_text(errors="replace").split("\n"):
-            if said := [line for line in lines if line.strip()]:
-                return said[-1].strip()
+        if said := path.read_text(errors="replace").strip():
+            return said.rpartition("\n")[2]
     return f"see {logs}"

@@ -46,7 +46,7 @@ class Local:
     def start(self, command: Sequence[str], logs: Sequence[Path]) -> list[subprocess.Popen]:
         taken = {i for i, worker in self._by_group.items() if worker.poll() is None}
         free = [i for i in range(len(self._groups)) if i not in taken]
-        return [self._start(command, log, i) for log, i in zip(logs, free, strict=True)]
+        return [self._start(command, log, i) for log, i in zip(logs, free, strict=False)]
 
     def _start(self, command: Sequence[str], log: Path, group: int) -> subprocess.Popen:
         worker = self._by_group[group] = launch(command, log)

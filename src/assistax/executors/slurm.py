@@ -51,10 +51,11 @@ class Slurm:
 
     def room(self, workers: int | None, jobs: int) -> int:
         try:
-            import submitit
+            from submitit import AutoExecutor
+            from submitit.core.utils import FailedJobError
         except ImportError:
             raise UsageError('The executor slurm needs an extra: pip install "assistax[slurm]".') from None
-        self._submitit = submitit
+        self._submitter, self._refused = AutoExecutor, FailedJobError
         if self.cores < 1 or self.hours * 3600 < 2 * GRACE:
             raise UsageError(f"cores must be 1 or more and hours {2 * GRACE / 3600:.2f} or more.")
         if workers is not None and workers < 1:
@@ -70,7 +71,7 @@ class Slurm:
         return min(jobs, workers or MANY)
 
     def start(self, command: Sequence[str], logs: Sequence[Path]) -> list[Any]:
-        submitter = self._submitit.AutoExecutor(logs[0].parent / "slurm", self.cluster, slurm_max_num_timeout=10**6)
+        submitter = self._submitter(logs[0].parent / "slurm", self.cluster, slurm_max_num_timeout=10**6)
         submitter.update_parameters(name="assistax", timeout_min=max(1, round(self.hours * 60)))
         more = dict(pair.partition("=")[::2] for pair in self.options.split(",") if pair)
         of_slurm = {"partition": self.partition, "mem": f"{self.memory_gb:g}G" if self.memory_gb else ""}
@@ -83,7 +84,7 @@ class Slurm:
         try:
             with submitter.batch():
                 return [submitter.submit(Worker(list(command), log.resolve())) for log in logs]
-        except self._submitit.core.utils.FailedJobError as error:
+        except self._refused as error:
             raise UsageError(f"Slurm does not take the job: {_reason(str(error))}") from None
 
     def running(self, workers: Sequence[Any]) -> list[Any]:
