@@ -99,7 +99,7 @@ def test_drivers_are_killed(toys):
     folder, _, command = toys
     chance = random.Random(1)
     for _ in range(3):
-        driver = subprocess.Popen([*command, "drive"], stderr=subprocess.DEVNULL)
+        driver = subprocess.Popen([*command, "local"], stderr=subprocess.DEVNULL)
         wait_for(lambda: len(owners(folder)) == 2)
         time.sleep(chance.uniform(0.0, 0.2))
         driver.kill()
@@ -132,7 +132,7 @@ def test_one_that_is_preempted_saves_and_comes_back(toys):
 
 def test_ctrl_c_has_the_workers_save(toys):
     folder, _, command = toys
-    driver = subprocess.Popen([*command, "drive"], stderr=subprocess.DEVNULL)
+    driver = subprocess.Popen([*command, "local"], stderr=subprocess.DEVNULL)
     wait_for(lambda: len(owners(folder)) == 2)
     driver.send_signal(signal.SIGINT)
     assert driver.wait(20) == 0 and not owners(folder)

@@ -1,6 +1,6 @@
 """Jobs of ten steps of some milliseconds, with a checkpoint after each; as a script, a worker of them.
 
-`toy_jobs.py FOLDER COUNT [drive]`: with "drive" the driver of two such workers.
+`toy_jobs.py FOLDER COUNT [local|slurm]`: with an executor the driver of two such workers.
 """
 
 import os
@@ -10,9 +10,8 @@ import time
 from pathlib import Path
 
 from assistax.errors import UsageError
-from assistax.executors.drive import drive
+from assistax.executors.drive import drive, executor
 from assistax.executors.jobs import Job, work
-from assistax.executors.local import Local
 from assistax.files import write_atomically
 from assistax.training.clock import progress_bar
 
@@ -52,8 +51,9 @@ def jobs_of(folder, count):
 if __name__ == "__main__":
     folder, count = Path(sys.argv[1]), int(sys.argv[2])
     jobs = jobs_of(folder, count)
-    if sys.argv[3:] == ["drive"]:
-        Local.seconds = 0.1
-        drive(folder / "workers", jobs, Local(), [sys.executable, *sys.argv[:3]], 2, progress_bar)
+    if sys.argv[3:]:
+        using = executor(sys.argv[3], {})
+        type(using).seconds = 0.1
+        drive(folder / "workers", jobs, using, [sys.executable, *sys.argv[:3]], 2, progress_bar)
     else:
         sys.exit(0 if work(folder / "workers", jobs) else 130)

@@ -1,9 +1,11 @@
 """Workers as jobs of Slurm: an array of them, which come back when they have been preempted or their time is over."""
 
+import os
 import shutil
 import signal
 import subprocess
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,7 +35,8 @@ class Worker:
         from submitit.helpers import DelayedSubmission
 
         self._process.terminate()
-        self._process.wait()
+        with suppress(ChildProcessError):  # not by wait(), whose lock the interrupted __call__ has
+            os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOWAIT)
         return DelayedSubmission(Worker(self.command, self.log))
 
 
@@ -55,6 +58,7 @@ class Slurm:
             from submitit.core.utils import FailedJobError
         except ImportError:
             raise UsageError('The executor slurm needs an extra: pip install "assistax[slurm]".') from None
+        self._stopping = False
         self._submitter, self._refused = AutoExecutor, FailedJobError
         if self.cores < 1 or self.hours * 3600 < 2 * GRACE:
             raise UsageError(f"cores must be 1 or more and hours {2 * GRACE / 3600:.2f} or more.")
@@ -90,10 +94,13 @@ class Slurm:
     def running(self, workers: Sequence[Any]) -> list[Any]:
         if self.cluster == "local" or not workers:
             return [worker for worker in workers if not worker.done()]
-        queued = set(_ask("squeue", "--me", "--array", "--noheader", "--format=%i %F_%K").split())
+        rows = [row.split() for row in _ask("squeue", "--me", "--array", "--noheader", "--format=%i %t").splitlines()]
+        # One that completes (CG) may be requeued, but not after it was stopped; Slurm then takes half a minute for it.
+        queued = {name for name, state in rows if not (self._stopping and state == "CG")}
         return [worker for worker in workers if worker.job_id in queued]
 
     def stop(self, workers: Sequence[Any]) -> None:
+        self._stopping = True
         for worker in workers:
             worker.cancel(check=False)
 
