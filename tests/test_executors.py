@@ -3,6 +3,8 @@
 import json
 import os
 import random
+import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,13 +15,16 @@ from pathlib import Path
 
 import pytest
 from commands import assistax
+from pages import DOCS
 from toy_jobs import LENGTH, jobs_of, steps_of
 
 from assistax.errors import UsageError
 from assistax.executors import claims, drive, slurm
 from assistax.executors.jobs import Job, failure, status, work
 from assistax.executors.local import Local
+from assistax.executors.ray import Ray
 from assistax.executors.slurm import Slurm
+from assistax.teamwork import plan
 from assistax.training.clock import progress_bar
 
 TOYS = Path(__file__).with_name("toy_jobs.py")
@@ -238,3 +243,21 @@ def test_slurm_knows_its_partitions(monkeypatch):
         Slurm("mian").room(None, 1)
     with pytest.raises(UsageError, match="cores must be 1 to 2, those of a node, not 3"):
         Slurm("main", cores=3).room(None, 1)
+
+
+def test_the_commands_of_the_page_are_commands(tmp_path, monkeypatch):
+    page = (DOCS / "clusters.md").read_text()
+    blocks = "\n".join(re.findall(r"^```sh\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)).replace("\\\n", " ")
+    commands = [line.split() for line in blocks.splitlines() if line.startswith("assistax ")]
+    trained = []
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(64))
+    for kind in (Slurm, Ray):
+        monkeypatch.setattr(kind, "room", lambda *_: 1)
+    monkeypatch.setattr(plan, "train", lambda *args: trained.append(args))
+    monkeypatch.setattr(plan, "train_with", lambda *args: trained.append(args))
+    for command in commands:
+        assistax(*command[1:])
+        shutil.rmtree("populations", ignore_errors=True)
+    assert len(trained) == len(commands) == 7
+    assert {type(args[1]) for args in trained} == {tuple, Local, Slurm, Ray}
