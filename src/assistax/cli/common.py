@@ -94,6 +94,18 @@ def _teams_of(target: str, policy: str | None, engine: str | None, settings: dic
     return run.env, run.teams(), {"task": run.config.task, "run": target}
 
 
+def find_executor(processes: int | None, executor: str | None, assignments: tuple[str, ...]):
+    """The executor that is asked for, None where this process does the work; raises UsageError if it is not there."""
+    from assistax.executors.drive import executor as find
+    from assistax.settings import parse_assignments
+
+    if executor is None and not assignments and processes in (None, 1):
+        return None
+    using = find(executor or "local", parse_assignments(assignments, "--executor-set"))
+    using.room(processes, processes or 1)
+    return using
+
+
 def print_json(report: Any) -> None:
     print(json.dumps(report, indent=2))
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from assistax.cli.common import ExecutorSet, File, Name, Number, Set, Switch
+from assistax.cli.common import ExecutorSet, File, Name, Number, Set, Switch, find_executor
 from assistax.errors import UsageError
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POP")]
@@ -54,7 +54,6 @@ def train(
         address and cores, local cores.
       shard: i/n trains the i-th of n equal parts. Without it machines that share a folder share the work, too.
     """
-    from assistax.executors.drive import executor as find_executor
     from assistax.files import writing
     from assistax.human import variety
     from assistax.settings import parse_assignments
@@ -62,12 +61,9 @@ def train(
 
     if (task is None) == (resume is None):
         raise UsageError("Name a task and --out to begin a population, or --resume POP to continue one.")
-    using = None
-    if executor is not None or executor_set or (processes is not None and processes != 1):
-        if shard is not None:
-            raise UsageError("Processes share the work among themselves; leave out --shard.")
-        using = find_executor(executor or "local", parse_assignments(executor_set, "--executor-set"))
-        using.room(processes, processes or 1)  # asked before anything is written
+    using = find_executor(processes, executor, executor_set)  # asked before anything is written
+    if using is not None and shard is not None:
+        raise UsageError("Processes share the work among themselves; leave out --shard.")
     part = _shard(shard)
     if task is not None:
         if out is None:

@@ -35,7 +35,7 @@ class Status:
     done: int  # of the sizes of all
     finished: int
     held: int  # by somebody
-    open: tuple[Job, ...]  # nobody has them; first those that were begun least often
+    open: tuple[Job, ...]  # nobody has them; first those that were lost or failed least often
 
 
 def status(folder: Path, jobs: Sequence[Job], known: set[str] | None = None) -> Status:
@@ -51,8 +51,13 @@ def status(folder: Path, jobs: Sequence[Job], known: set[str] | None = None) -> 
             held += 1
         else:
             free.append(job)
-    free.sort(key=lambda job: len(found.get(job.name, [])))
+    free.sort(key=lambda job: sum(map(_is_lost, found.get(job.name, []))))
     return Status(done, sum(job.name in known for job in jobs), held, tuple(free))
+
+
+def _is_lost(claim: Path) -> bool:
+    about = read(claim)
+    return "failed" in about or not about.get("released")
 
 
 def failure(earlier: Sequence[Path], at: int, tries: int = 3) -> str | None:
