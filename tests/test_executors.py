@@ -195,10 +195,10 @@ def test_a_job_is_begun_three_times_where_it_stands(tmp_path):
     paths = [tmp_path / f"a.{i:04d}" for i in (1, 2, 3)]
     for path in paths:
         path.write_text(json.dumps({"at": 5}))
-    assert failure(paths[:2], 5) is None and failure(paths, 6) is None
-    assert failure(paths, 5) == "it has ended 3 times without getting further"
+    assert failure(paths[:2], lambda: 5) is None and failure(paths, lambda: 6) is None
+    assert failure(paths, lambda: 5) == "it has ended 3 times without getting further"
     paths[1].write_text(json.dumps({"at": 5, "released": True}))
-    assert failure(paths, 5) is None
+    assert failure(paths, lambda: 5) is None
 
 
 def test_a_full_disk_ends_in_a_line(tmp_path, monkeypatch):

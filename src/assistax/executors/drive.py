@@ -78,12 +78,12 @@ def drive(
     now = status(folder, jobs, known)
     workers = using.room(workers, max(1, len(now.open)))
     crew: list[Any] = []
+    found: dict[str, list[Path]] = {}
     fruitless, started, begun = 0, 0, 0
     with bar(total, now.done) as shown:
         try:
             while now.finished < len(jobs):
-                found = {name: paths[before.get(name, 0) :] for name, paths in claims(folder).items()}
-                failed = {job.name: why for job in now.open if (why := failure(found.get(job.name, []), job.done()))}
+                failed = {job.name: why for job in now.open if (why := failure(found.get(job.name, ()), job.done))}
                 free = len(now.open) - len(failed)
                 begun_before, begun = begun, sum(map(len, found.values()))
                 ended = len(crew) - len(crew := using.running(crew))
@@ -102,7 +102,8 @@ def drive(
                     )
                 shown.set_description(f"{now.finished} of {len(jobs)} finished, {now.held} at work", refresh=False)
                 time.sleep(max(using.seconds, len(jobs) / 500))
-                now = status(folder, jobs, known)
+                found = {name: paths[before.get(name, 0) :] for name, paths in claims(folder).items()}
+                now = status(folder, jobs, known)  # after the claims: whose newest is not free here is open no more
                 shown.update(now.done - shown.n)
         except KeyboardInterrupt:
             pass

@@ -60,14 +60,14 @@ def _is_lost(claim: Path) -> bool:
     return "failed" in about or not about.get("released")
 
 
-def failure(earlier: Sequence[Path], at: int, tries: int = 3) -> str | None:
-    """Why a job that is at `at` is not begun once more after these claims; None if it is."""
+def failure(earlier: Sequence[Path], done: Callable[[], int], tries: int = 3) -> str | None:
+    """Why a job, of which so much is `done`, is not begun once more after these claims; None if it is."""
     if not earlier:
         return None
     if failed := read(earlier[-1]).get("failed"):
         return failed
     last = [read(path) for path in earlier[-tries:]]
-    if len(last) == tries and all(one.get("at") == at and not one.get("released") for one in last):
+    if len(last) == tries and not any(one.get("released") or one.get("at") != done() for one in last):
         return f"it has ended {tries} times without getting further"
     return None
 

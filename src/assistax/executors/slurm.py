@@ -94,7 +94,11 @@ class Slurm:
     def running(self, workers: Sequence[Any]) -> list[Any]:
         if self.cluster == "local" or not workers:
             return [worker for worker in workers if not worker.done()]
-        rows = [row.split() for row in _ask("squeue", "--me", "--array", "--noheader", "--format=%i %t").splitlines()]
+        try:
+            listed = _ask("squeue", "--me", "--array", "--noheader", "--format=%i %t")
+        except UsageError:  # it may be back at the next look
+            return [] if self._stopping else list(workers)
+        rows = [row.split() for row in listed.splitlines()]
         # One that completes (CG) may be requeued, but not after it was stopped; Slurm then takes half a minute for it.
         queued = {name for name, state in rows if not (self._stopping and state == "CG")}
         return [worker for worker in workers if worker.job_id in queued]
