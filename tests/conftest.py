@@ -37,9 +37,6 @@ def pytest_configure(config):
 def pytest_sessionstart(session):
     if xdist.is_xdist_controller(session):
         return
-    from compiled import keep_programs_that_call_back
-
-    keep_programs_that_call_back()
     gc.set_threshold(100_000, 20, 50)  # tracing makes much that is no garbage
 
 

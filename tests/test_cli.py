@@ -8,7 +8,6 @@ import subprocess
 import sys
 import time
 
-import compiled
 import numpy as np
 import pytest
 from commands import assistax
@@ -90,7 +89,7 @@ def test_several_seeds_are_the_runs_of_each_seed_alone(run, tmp_path):
 
 def test_an_interrupted_run_goes_on(tmp_path):
     folder = tmp_path / "run"
-    command = [sys.executable, compiled.__file__, "train", "scratch", "--steps", "10000000", "--out", folder, *SMALL]
+    command = [sys.executable, "-m", "assistax", "train", "scratch", "--steps", "10000000", "--out", folder, *SMALL]
     running = subprocess.Popen([*map(str, command)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     metrics = folder / "metrics.jsonl"
     deadline = time.monotonic() + 120

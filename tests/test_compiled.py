@@ -1,10 +1,12 @@
-"""What the tests keep of their compiled programs."""
+"""Programs that call back into Python are kept in JAX's cache, and are given the functions of now."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax._src import compilation_cache
+
+from assistax.physics.compiled import keep_programs_that_call_back
 
 
 def called_back():
@@ -24,6 +26,7 @@ def called_back():
 @pytest.fixture
 def kept(tmp_path):
     """Where JAX keeps programs for now."""
+    keep_programs_that_call_back()
     before = jax.config.jax_compilation_cache_dir
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     compilation_cache.reset_cache()

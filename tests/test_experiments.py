@@ -9,6 +9,7 @@ from commands import assistax
 import assistax.experiments as all_experiments
 from assistax.cli.reproduce import duration
 from assistax.errors import UsageError
+from assistax.executors.local import Local
 from assistax.experiments import advance, choose_experiments, experiments, status
 
 
@@ -46,6 +47,26 @@ def test_pieces_add_up_and_nothing_is_done_twice(tmp_path):
     assert (results / "quick" / "one.json").read_text() == "1"
     assert sorted(p.name for p in results.iterdir()) == ["later", "long", "quick"]
     assert advance(chosen, results, work, 60) == [] and [f for _, f in status(chosen, results, work)] == [1.0] * 3
+
+
+def test_an_executor_does_what_is_missing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    chosen = [Counting("one", 1), Counting("quick/two.json", 3)]
+    monkeypatch.setattr(all_experiments, "experiments", lambda seeds: chosen)
+    started = []
+
+    def start(self, command, logs):
+        started.append(command[2:])
+        advance(chosen, Path("results"), Path("runs/reproduce"), 60)
+        return []
+
+    monkeypatch.setattr(Local, "start", start)
+    monkeypatch.setattr(Local, "seconds", 0.01)
+    printed = assistax("reproduce", "--only", "*", "--processes", 2).stdout
+    assert printed.endswith("\nfinished 2, 0 left\n") and len(started) == 3
+    assert started[0] == ["assistax", "reproduce", "--budget", "100000h", "--seeds", "1", "--only", "*"]
+    with pytest.raises(SystemExit):
+        assistax("reproduce", "--budget", "9m", "--processes", 2)
 
 
 class Refusing(Counting):

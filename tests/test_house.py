@@ -13,7 +13,7 @@ ROOT = Path(assistax.__file__).parent
 FLOORS = (
     ("errors", "inference"),
     ("pytree", "files", "stamp", "registry", "settings", "spaces"),
-    ("formats",),
+    ("formats", "executors"),
     ("scenes",),
     ("physics",),
     ("human",),

@@ -4,6 +4,7 @@ Work in progress lies in `runs/reproduce/`, with its checkpoints; what is finish
 or not at all. So any machine at hand for some minutes is useful: `assistax reproduce --budget 9m`.
 """
 
+import math
 import os
 import shutil
 import sys
@@ -15,6 +16,8 @@ from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from assistax.errors import UsageError
+from assistax.executors.jobs import Job, is_worker
+from assistax.executors.jobs import work as carry_out
 from assistax.files import write_atomically, write_json
 from assistax.training.presets import TASKS
 
@@ -26,10 +29,11 @@ PEOPLE: dict[str, dict[str, Any]] = {  # by suffix of the experiment's name
     "-preferences": {"env.human.preference": "sweep"},
     "-tremor+weakness": {"env.human.disability": "tremor+weakness"},
 }
+WORKERS = "workers"  # folder of their claims and logs, where the work is done
 KEPT = ("config.json", "evaluations.jsonl", "summary.json", "learning_curve.png")  # of a finished run
 
 
-class Job(Protocol):
+class Experiment(Protocol):
     shows: ClassVar[str]
 
     @property
@@ -142,13 +146,13 @@ class Sweeping:
         return [work / name for name in ("sweep.json", "ranking.json")] + sorted(work.glob("*.png"))
 
 
-def _trainings(algorithm: str, preset: str, people: str, seed: int, steps: int | None = None) -> Iterator[Job]:
+def _trainings(algorithm: str, preset: str, people: str, seed: int, steps: int | None = None) -> Iterator[Experiment]:
     """On every task; with the usual number of steps, unless given."""
     steps = steps or (SAC_STEPS if algorithm == "masac" else STEPS)[preset]
     return (Training(task, algorithm, preset, people, seed, steps) for task in TASKS)
 
 
-def experiments(seeds: int = 1) -> Iterator[Job]:
+def experiments(seeds: int = 1) -> Iterator[Experiment]:
     """All of them, what matters most first; the paper has 16 seeds."""
     yield from (Timing(task) for task in TASKS)
     for seed in range(seeds):
@@ -166,31 +170,46 @@ def experiments(seeds: int = 1) -> Iterator[Job]:
                 yield from _trainings(algorithm, preset, "-preferences", seed)
 
 
-def status(chosen: list[Job], results: Path, work: Path) -> list[tuple[Job, float]]:
+def status(chosen: list[Experiment], results: Path, work: Path) -> list[tuple[Experiment, float]]:
     """With the fraction of each that is done."""
     return [(e, 1.0 if (results / e.name).exists() else e.progress(work / e.name)) for e in chosen]
 
 
-def advance(chosen: list[Job], results: Path, work: Path, seconds: float) -> list[Job]:
-    """Do what is missing, in order, until the time is spent; returns what was finished."""
-    deadline, finished = time.monotonic() + seconds, []
-    for experiment in chosen:
-        left = deadline - time.monotonic()
-        if left <= 0:
-            break
-        if (results / experiment.name).exists():
-            continue
-        print(f"{experiment.name} ({experiment.progress(work / experiment.name):.0%} done)", flush=True)
-        try:
-            kept = experiment.advance(work / experiment.name, left)
-        except UsageError as error:  # of this one; the others can continue
-            print(f"{experiment.name}: {error}", file=sys.stderr)
-            continue
-        if kept is None:
-            break
-        publish(kept, results / experiment.name)
-        finished.append(experiment)
-    return finished
+def advance(chosen: list[Experiment], results: Path, work: Path, seconds: float) -> list[Experiment]:
+    """Do what is missing and nobody else does, in order, until the time is spent; returns what was finished."""
+    begun = [one for one in jobs(chosen, results, work, seconds) if not one.finished]
+    carry_out(work / WORKERS, begun, lambda job: print(f"{job.name} ({job.done()}% done)", flush=True))
+    names = {job.name for job in begun if job.finished}
+    return [one for one in chosen if one.name.replace("/", "-") in names]
+
+
+def jobs(chosen: list[Experiment], results: Path, work: Path, seconds: float = math.inf) -> list[Job]:
+    """The experiments as jobs, which stop when the time is spent."""
+    deadline = time.monotonic() + seconds
+
+    def job(experiment: Experiment) -> Job:
+        place, kept_at = work / experiment.name, results / experiment.name
+
+        def do() -> bool:
+            if (left := deadline - time.monotonic()) <= 0:
+                return False
+            try:
+                kept = experiment.advance(place, left)
+            except UsageError as error:  # of this one; the others can continue
+                if is_worker():
+                    raise
+                print(f"{experiment.name}: {error}", file=sys.stderr)
+                return True
+            if kept is not None:
+                publish(kept, kept_at)
+            return kept is not None
+
+        def done() -> int:
+            return 100 if kept_at.exists() else min(99, int(100 * experiment.progress(place)))
+
+        return Job(experiment.name.replace("/", "-"), 100, done, do)
+
+    return [job(experiment) for experiment in chosen]
 
 
 def publish(kept: Path | list[Path], place: Path) -> None:
@@ -207,7 +226,7 @@ def publish(kept: Path | list[Path], place: Path) -> None:
     os.replace(part, place)
 
 
-def choose_experiments(pattern: str | None, seeds: int) -> list[Job]:
+def choose_experiments(pattern: str | None, seeds: int) -> list[Experiment]:
     """Those whose name fits a pattern with * and ?; a part of a name will do."""
     every = list(experiments(seeds))
     if pattern is None:

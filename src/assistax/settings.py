@@ -76,13 +76,14 @@ def check_seed(name: str, value: int) -> None:
         raise UsageError(f"{name} must be from 0 to 2^32 - 1, not {value}.")
 
 
-def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """["a.b=1", "c=x"] to {"a.b": 1, "c": "x"}."""
+def parse_assignments(assignments: Iterable[str], option: str = "--set") -> dict[str, Any]:
+    """["a.b=1", "c=x"] to {"a.b": 1, "c": "x"}; `option` is where they come from."""
     settings = {}
     for text in assignments:
         name, equals, value = text.partition("=")
         if not equals or not name:
-            raise UsageError(f"--set takes NAME=VALUE, for example ppo.learning_rate=3e-4, not {text!r}.")
+            example = "ppo.learning_rate=3e-4" if option == "--set" else "cores=4"
+            raise UsageError(f"{option} takes NAME=VALUE, for example {example}, not {text!r}.")
         try:
             settings[name] = ast.literal_eval(value)
         except (ValueError, SyntaxError):

@@ -30,6 +30,7 @@ Switch = Annotated[bool, arg(help_behavior_hint="")]
 Partner = Annotated[tuple[str, ...], arg(metavar="AGENT=WHO ...", help_behavior_hint="")]
 Words = Annotated[tuple[str, ...], arg(metavar="NAME ...", help_behavior_hint="")]
 Json = Annotated[bool, arg(name="json", help_behavior_hint="")]
+ExecutorSet = Annotated[tuple[str, ...], arg(metavar="NAME=VALUE ...", help_behavior_hint="")]
 Set = Annotated[tuple[str, ...], arg(name="set", metavar="NAME=VALUE ...", help_behavior_hint="")]
 
 
@@ -91,6 +92,18 @@ def _teams_of(target: str, policy: str | None, engine: str | None, settings: dic
         raise UsageError(f"{target!r} is neither a run folder, nor a team file, nor a task ({', '.join(TASKS)}).")
     run = Run.open(path, settings, engine=engine)
     return run.env, run.teams(), {"task": run.config.task, "run": target}
+
+
+def find_executor(processes: int | None, executor: str | None, assignments: tuple[str, ...]):
+    """The executor that is asked for, None where this process does the work; raises UsageError if it is not there."""
+    from assistax.executors.drive import executor as find
+    from assistax.settings import parse_assignments
+
+    if executor is None and not assignments and processes in (None, 1):
+        return None
+    using = find(executor or "local", parse_assignments(assignments, "--executor-set"))
+    using.room(processes, processes or 1)
+    return using
 
 
 def print_json(report: Any) -> None:

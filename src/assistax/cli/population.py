@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from assistax.cli.common import File, Name, Number, Set, Switch
+from assistax.cli.common import ExecutorSet, File, Name, Number, Set, Switch, find_executor
 from assistax.errors import UsageError
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POP")]
@@ -24,6 +24,8 @@ def train(
     set: Set = (),
     resume: File = None,
     processes: Number = None,
+    executor: Name = None,
+    executor_set: ExecutorSet = (),
     shard: Name = None,
 ) -> None:
     """Train a population: a team for each person, algorithm and seed.
@@ -33,7 +35,7 @@ def train(
     For example:
       assistax population train scratch --out populations/scratch --steps 5e6 --seeds 2 --processes 2
       assistax population train --resume populations/scratch
-      assistax population train --resume populations/scratch --shard 1/4
+      assistax population train --resume populations/scratch --executor slurm --executor-set partition=cpu cores=4
 
     Args:
       task: what to do together.
@@ -46,8 +48,11 @@ def train(
       num_envs: environments side by side, of each training (default as in `assistax train`).
       set: change any setting of all trainings, for example ppo.gamma=0.98.
       resume: continue this population.
-      processes: so many trainings side by side, each on cores of its own (default 1).
-      shard: i/n trains the i-th of n equal parts, for several machines that share a folder.
+      processes: so many trainings side by side (default 1 in this process; of an executor as many as fit).
+      executor: local (default; each process on cores of its own), slurm or ray; see docs/clusters.md.
+      executor_set: settings of the executor, as cores=4; slurm has partition, cores, memory_gb, hours and options, ray
+        address and cores, local cores.
+      shard: i/n trains the i-th of n equal parts. Without it machines that share a folder share the work, too.
     """
     from assistax.files import writing
     from assistax.human import variety
@@ -56,8 +61,9 @@ def train(
 
     if (task is None) == (resume is None):
         raise UsageError("Name a task and --out to begin a population, or --resume POP to continue one.")
-    if processes is not None and shard is not None:
-        raise UsageError("--processes makes the shards itself; leave out --shard.")
+    using = find_executor(processes, executor, executor_set)  # asked before anything is written
+    if using is not None and shard is not None:
+        raise UsageError("Processes share the work among themselves; leave out --shard.")
     part = _shard(shard)
     if task is not None:
         if out is None:
@@ -68,7 +74,7 @@ def train(
             wanted.save(out)
     folder = Path(out or resume or "")
     with writing(folder):
-        made = plan.train_side_by_side(folder, processes) if processes and processes > 1 else plan.train(folder, part)
+        made = plan.train(folder, part) if using is None else plan.train_with(folder, using, processes)
     if made is None:
         print(f"Not all members are finished yet. Continue with: assistax population train --resume {folder}")
     else:

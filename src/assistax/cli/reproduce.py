@@ -1,13 +1,22 @@
 """`assistax reproduce`."""
 
 import re
+import sys
 from pathlib import Path
 
-from assistax.cli.common import Count, Name
+from assistax.cli.common import Count, ExecutorSet, Name, Number, find_executor
 from assistax.errors import UsageError
 
 
-def reproduce(*, budget: Name = None, only: Name = None, seeds: Count = 1) -> None:
+def reproduce(
+    *,
+    budget: Name = None,
+    only: Name = None,
+    seeds: Count = 1,
+    processes: Number = None,
+    executor: Name = None,
+    executor_set: ExecutorSet = (),
+) -> None:
     """List the experiments behind the results and how far they are; with a budget, continue them.
 
     What is finished goes to results/; unfinished runs wait in runs/reproduce/ for the next time.
@@ -21,22 +30,46 @@ def reproduce(*, budget: Name = None, only: Name = None, seeds: Count = 1) -> No
       budget: how long to work: 90s, 9m or 1.5h. What is missing is done in the order of the list.
       only: experiments whose name contains this; * and ? stand for anything.
       seeds: seeds of each training (the paper has 16).
+      processes: do all that is missing, in so many processes side by side; instead of a budget. Choose trainings with
+        --only: timings want a machine for themselves.
+      executor: local, slurm or ray, as in `assistax population train`.
+      executor_set: its settings.
     """
-    from assistax.experiments import advance, choose_experiments, status
+    from assistax.executors.drive import drive
+    from assistax.experiments import WORKERS, advance, choose_experiments, jobs, status
     from assistax.files import writing
+    from assistax.training.clock import progress_bar
 
     results, work = Path("results"), Path("runs/reproduce")
     if seeds < 1:
         raise UsageError(f"seeds must be 1 or more, not {seeds}.")
     seconds = None if budget is None else duration(budget)
     chosen = choose_experiments(only, seeds)
-    if seconds is None:
+    using = find_executor(processes, executor, executor_set)
+    if using is not None:
+        if seconds is not None:
+            raise UsageError("An executor does all that is missing; leave out --budget.")
+        command = [sys.executable, "-m", "assistax", "reproduce", "--budget", "100000h", "--seeds", str(seeds)]
+        command += ["--only", only] if only else []
+        missing = [job for job in jobs(chosen, results, work) if not job.finished]
+        with writing(results):
+            drive(
+                work / WORKERS,
+                missing,
+                using,
+                command,
+                processes,
+                lambda total, done: progress_bar(total, done, unit="%"),
+            )
+        finished = [job for job in missing if job.finished]
+    elif seconds is not None:
+        with writing(results):
+            finished = advance(chosen, results, work, seconds)
+    else:
         for experiment, fraction in status(chosen, results, work):
             state = "done" if fraction == 1.0 else f"{fraction:.0%}" if fraction else "missing"
             print(f"{experiment.name:56} {experiment.shows:16} {state}")
         return
-    with writing(results):
-        finished = advance(chosen, results, work, seconds)
     left = sum(fraction < 1.0 for _, fraction in status(chosen, results, work))
     print(f"finished {len(finished)}, {left} left")
 

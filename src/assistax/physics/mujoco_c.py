@@ -18,6 +18,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch, SimulationError
 
+from assistax.physics.compiled import keep_programs_that_call_back
 from assistax.physics.engine import OVERFLOW, PUSH, UNSTABLE, Engine, Overrides, PhysicsState
 
 _STATE = ("qpos", "qvel", "qacc_warmstart")
@@ -41,6 +42,7 @@ class MujocoEngine(Engine):
 
     def __init__(self, model: mujoco.MjModel, substeps: int = 4, num_threads: int = 0):
         super().__init__(model, substeps)
+        keep_programs_that_call_back()
         with suppress(OSError, ValueError, StopIteration):  # then there is a log file
             _quiet()
         self.num_threads = num_threads

@@ -2,22 +2,23 @@
 
 plan.json   what was asked for
 runs/       a run folder for each training, see training/run.py
+workers/    who trains what, see executors/claims.py, and what workers have printed
 manifest.jsonl and weights, when all of them are finished, see training/population.py
 
-Every training can be stopped at any moment, and processes may share a plan: each takes its shard of it. In the end it
-is the same population, whoever trained what and when.
+Every training can be stopped at any moment, and processes may share a plan: each takes what nobody else has. In the end
+it is the same population, whoever trained what and when.
 """
 
-import os
-import subprocess
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from assistax.errors import UsageError
+from assistax.executors.drive import Executor, drive
+from assistax.executors.jobs import Job, is_worker, work
 from assistax.files import read_json, write_json
 from assistax.formats import PLAN
 from assistax.human import Person
@@ -28,6 +29,8 @@ from assistax.training.clock import progress_bar
 from assistax.training.configuration import TrainConfig, configure
 from assistax.training.population import MANIFEST, Population
 from assistax.training.run import Run
+
+WORKERS = "workers"  # folder of their claims and logs
 
 
 @dataclass(frozen=True)
@@ -86,25 +89,44 @@ class Plan:
         return cls(stored["task"], people, algorithms, *sizes, settings)
 
 
-def train(folder: Path, shard: tuple[int, int] = (1, 1)) -> Population | None:
-    """Train what is not yet finished of shard i of n (1 to n) of the plan in `folder`.
+def jobs(folder: Path, bar: Callable = progress_bar) -> list[Job]:
+    """The trainings of the plan in `folder`."""
 
-    Returns the population if everybody in the plan is finished then; None if others are not, or a signal came.
-    """
-    plan = Plan.load(folder)
-    jobs = list(plan.jobs())
-    mine = jobs[shard[0] - 1 :: shard[1]]
-    steps = {name: config.steps for name, config in mine}
-    done = {name: _steps_done(folder / "runs" / name, config) for name, config in mine}
-    with progress_bar(sum(steps.values()), sum(done.values())) as bar:
-        for number, (name, config) in enumerate(mine, 1):
-            place = folder / "runs" / name
-            if (place / "summary.json").exists():
-                continue
-            bar.set_description(f"member {number} of {len(mine)}")
+    def job(name: str, config: TrainConfig) -> Job:
+        place = folder / "runs" / name
+
+        def do() -> bool:
             run = Run.open(place) if (place / "config.json").exists() else Run.create(config, place)
-            if loop.train(run, bar=lambda *_: nullcontext(bar), pictures=False) is None:
-                return None
+            return loop.train(run, bar=bar, pictures=False) is not None
+
+        return Job(name, config.steps, lambda: steps_done(place, config.steps), do)
+
+    return [job(name, config) for name, config in Plan.load(folder).jobs()]
+
+
+def train(folder: Path, shard: tuple[int, int] = (1, 1)) -> Population | None:
+    """Train what is not yet finished, nor just being trained by others, of shard i of n (1 to n) of a plan.
+
+    Returns the population if everybody in the plan is finished then; None if others are not, or a signal came, or if
+    this is a worker of an executor, whose driver gathers the population.
+    """
+    mine: list[Job] = []
+
+    def begin(job: Job) -> None:
+        shown.update(sum(one.done() for one in mine) - shown.n)
+        shown.set_description(f"member {mine.index(job) + 1} of {len(mine)}")
+
+    mine += jobs(folder, lambda *_: nullcontext(shown))[shard[0] - 1 :: shard[1]]
+    with progress_bar(sum(job.size for job in mine), sum(job.done() for job in mine)) as shown:
+        if not work(folder / WORKERS, mine, begin):
+            return None
+    return None if is_worker() else finish(folder)
+
+
+def train_with(folder: Path, using: Executor, workers: int | None = None) -> Population | None:
+    """`train` in as many processes as an executor starts."""
+    command = [sys.executable, "-m", "assistax", "population", "train", "--resume", str(folder.resolve())]
+    drive(folder / WORKERS, jobs(folder), using, command, workers, progress_bar)
     return finish(folder)
 
 
@@ -116,34 +138,13 @@ def finish(folder: Path) -> Population | None:
     if (folder / MANIFEST).exists():
         return Population.load(folder)
     population = gather(Run.open(place) for place in places)
-    population.save(folder, beside=("plan.json", "runs", "splits"))
+    population.save(folder, beside=("plan.json", "runs", "splits", WORKERS))
     return population
 
 
-def train_side_by_side(folder: Path, processes: int) -> Population | None:
-    """`train` in so many processes, each on cores of its own."""
-    cores = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
-    if not 1 <= processes <= len(cores):
-        raise UsageError(f"--processes must be 1 to {len(cores)}, the cores of this machine, not {processes}.")
-    Plan.load(folder)
-    running = []
-    try:
-        for i in range(processes):
-            command = [sys.executable, "-m", "assistax", "population", "train", "--resume", str(folder)]
-            child = subprocess.Popen([*command, "--shard", f"{i + 1}/{processes}"])
-            if hasattr(os, "sched_setaffinity"):
-                os.sched_setaffinity(child.pid, set(cores[i::processes]))
-            running.append(child)
-        ended = [child.wait() for child in running]
-    except KeyboardInterrupt:  # the children have been told as well, and save
-        ended = [child.wait() for child in running]
-    if any(code not in (0, 130) for code in ended):
-        raise UsageError(f"A process of {folder} has failed; what it printed stands above. What is finished stays.")
-    return finish(folder)
-
-
-def _steps_done(place: Path, config: TrainConfig) -> int:
+def steps_done(place: Path, steps: int) -> int:
+    """Steps of a run that are safe; all `steps` only when it is finished."""
     if (place / "summary.json").exists():
-        return config.steps
+        return steps
     saved = [int(path.stem.split("_")[1]) for path in (place / "checkpoints").glob("step_*.safetensors")]
-    return min(config.steps, max(saved, default=0))
+    return min(steps - 1, max(saved, default=0))

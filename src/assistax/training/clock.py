@@ -33,10 +33,10 @@ class Clock:
         self.seconds[to] = self.seconds.get(to, 0.0) + seconds
 
 
-def progress_bar(total: int, done: int) -> tqdm:
-    """Of environment steps, on stderr; in a file, where nobody watches it move, a word every half minute."""
+def progress_bar(total: int, done: int, unit: str = " steps") -> tqdm:
+    """Of environment steps, or another unit, on stderr; in a file, where nobody watches, a word every half minute."""
     interval = 0.1 if sys.stderr.isatty() else 30.0
-    return tqdm(total=total, initial=done, unit=" steps", unit_scale=True, mininterval=interval, maxinterval=interval)
+    return tqdm(total=total, initial=done, unit=unit, unit_scale=True, mininterval=interval, maxinterval=interval)
 
 
 class Stop:

@@ -1,0 +1,1 @@
+"""Lists of independent jobs, done by however many processes on however many machines."""
