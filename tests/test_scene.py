@@ -188,7 +188,7 @@ def test_start_pose(scene):
         assert -frame[2, 0] > 0.999 and frame[:, 2] @ way > 0.95 * np.linalg.norm(way)
         assert 0.3 < np.linalg.norm(way) < 0.6
     else:
-            assert data.qpos[ids] == pytest.approx(config.ready or scenes.PANDA.ready)
+        assert data.qpos[ids] == pytest.approx(config.ready or scenes.PANDA.ready)
     margin = np.minimum(data.qpos - model.jnt_range[:, 0], model.jnt_range[:, 1] - data.qpos)
     at_limit = scenes.qpos_ids(model, resting(config))
     near = scenes.qpos_ids(model, tuple(stopped(config)))
