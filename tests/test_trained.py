@@ -5,8 +5,9 @@ import pytest
 from assistax.evaluation.playing import play
 from assistax.training.team_file import load_team, trained_file
 
-# What each reaches in 64 episodes is in results/README.md: 98 % in bed bath, 100 % elsewhere.
+# What each reaches in 64 episodes is in results/README.md: 98 % in bed bath of version 0, 100 % elsewhere.
 LEAST = {"scratch-v0": 1.0, "bed_bath-v0": 0.75, "arm_assist-v0": 1.0, "feeding-v0": 1.0, "tooth_brushing-v0": 1.0}
+LEAST |= {"arm_assist-v1": 1.0, "feeding-v1": 1.0, "tooth_brushing-v1": 1.0}
 
 
 @pytest.mark.parametrize("task", LEAST)
@@ -15,4 +16,5 @@ def test_a_trained_team_comes_with_every_task_and_succeeds(task):
     assert path.stat().st_size < 150_000
     env, team = load_team(path, engine="mujoco")
     assert env.name == task
-    assert play(env, team, 8)["metrics"]["success"].mean() >= LEAST[task]
+    outcome = "success" if task.endswith("-v0") else "safe_success"
+    assert play(env, team, 8)["metrics"][outcome].mean() >= LEAST[task]

@@ -89,12 +89,14 @@ def at_rest(name, forces=None):
     return env, sensors(env, [env.model.key("start").qpos], [np.zeros(env.model.nv)], forces)
 
 
-def test_a_bare_name_is_version_1_and_the_packaged_teams_are_of_version_0():
+def test_a_bare_name_is_version_1_and_its_packaged_team_the_newest_there_is():
     from assistax.training.team_file import TRAINED, trained_file
 
     for name in ("scratch", "bed_bath", "arm_assist", "feeding", "tooth_brushing"):
         assert task_spec(name).id == f"{name}-v1"
-        assert trained_file(name) == trained_file(f"{name}-v0") == TRAINED / f"{name}-v0.safetensors"
+        newest = max((1, 0), key=lambda version: ((TRAINED / f"{name}-v{version}.safetensors").exists(), version))
+        assert trained_file(name) == TRAINED / f"{name}-v{newest}.safetensors"
+        assert trained_file(f"{name}-v0") == TRAINED / f"{name}-v0.safetensors"
 
 
 # -- scratch ---------------------------------------------------------------------------------------
