@@ -150,8 +150,7 @@ TASKS = {
         },
         "d: distance from the tool point to a place on the forearm {c.grip:g} m from its middle toward the hand (m); "
         "d_H: distance from the middle of the forearm to the waist target (m); σ = {r.SIGMA:g} m²; R: orientations as "
-        "matrices; paid: 1 while the arm is brought back (below), {c.thrown:g} when it was thrown, and otherwise "
-        "{c.unsettled:g}",
+        "matrices; paid: 1 while the arm is brought back (below), and otherwise {c.unsettled:g}",
         "the middle of the forearm is within {c.waist_distance:g} m of the waist target",
         "{c.success_seconds:g} s in all in which it helps and the forearm is slower than {c.settled_speed:g} m/s, "
         "having been carried there below {c.carrying_speed:g} m/s (`seconds_at_waist`)",

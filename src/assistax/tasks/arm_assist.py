@@ -26,7 +26,6 @@ class ArmAssistConfig:
     rotation_scale: float = 0.1  # of the rotation term
     grip: float = 0.0  # m, from the middle of the forearm toward the hand, to where the hook is to come
     unsettled: float = 1.0  # of the waist term is paid unless the forearm is brought back
-    thrown: float = 1.0  # and so much of it when it was thrown
     # What counts as brought back, and for how long in all it must last to be a success.
     waist_distance: float = 0.10  # m
     settled_speed: float = 1e3  # m/s, of the forearm, at most, while it counts
@@ -76,8 +75,7 @@ class ArmAssist:
 
     def reward_terms(self, s: Sensors, state: ArmAssistState):
         c = self.config
-        unsettled = jnp.where(state.thrown, c.thrown, c.unsettled)
-        paid = jnp.where(self._settled(s, state, state.thrown), 1.0, unsettled)
+        paid = jnp.where(self._settled(s, state, state.thrown), 1.0, c.unsettled)
         to_grip = s["wrist_target_pos"] - s["tool_pos"]
         if c.grip:
             to_grip -= c.grip * geometry.matrix(s["wrist_target_quat"])[:, 2]  # the forearm's axis, to the elbow
@@ -154,7 +152,6 @@ SPECS = (
             waist_width=0.3,
             grip=0.075,
             unsettled=0.7,
-            thrown=0.4,
             settled_speed=0.1,
             carrying_speed=0.5,
         ),
