@@ -405,7 +405,7 @@ def test_members_are_drawn_afresh_only_where_an_episode_ended():
     assert frozen.learners == ("human",)
     playing = frozen.init(jax.random.key(0))
     done = jnp.arange(4000) < 2000
-    drawn = frozen.redraw(playing, done, jax.random.key(1))
+    drawn = frozen.redraw(playing, (), done, jax.random.key(1))
     old, new = (np.asarray(s["robot"]["index"]) for s in (playing, drawn))
     np.testing.assert_array_equal(old[2000:], new[2000:])
     for index in (old, new):

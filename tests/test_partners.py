@@ -9,6 +9,7 @@ import pytest
 from stored import small, store_checkpoint, stored_run, stored_team
 
 import assistax
+from assistax.adapters.partner import Batch
 from assistax.errors import UsageError
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.policies import Player, Still
@@ -154,3 +155,16 @@ def test_a_memory_is_kept_for_as_long_as_the_partner_stays():
     _, batch = jax.jit(lambda key: ppo.collect(ppo.init(key)))(jax.random.key(0))
     np.testing.assert_array_equal(batch["done"][:, 0], np.arange(12) % 3 == 2)
     np.testing.assert_array_equal(batch["reset"][:, 0], np.arange(12) % 6 == 0)
+
+
+def test_a_partner_stays_in_the_adapters_too():
+    env = assistax.make("scratch-v1", episode_length=2, human={"redraw_every": 3})
+    batch, size = Batch(env), env.action_sizes["human"]
+    people = {"human": Player(Still(size), jax.numpy.zeros((50, 1)), 50)}
+    _, state = batch.reset(people, jax.random.split(jax.random.key(0), 4))
+    who = []
+    for _ in range(12):
+        who.append(np.asarray(state.partners["human"]["index"]))
+        state, _ = batch.step("same_step", people, state, {"robot": jax.numpy.zeros((4, 7))})
+    meetings = np.stack(who).reshape(2, 6, 4)  # three episodes of two steps
+    assert (meetings == meetings[:, :1]).all() and (meetings[0, 0] != meetings[1, 0]).any()

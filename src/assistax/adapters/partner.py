@@ -129,7 +129,7 @@ class Batch:
         )
         reward, terminated, truncated = rewards[self.env.agents[0]], terminated["__all__"], truncated["__all__"]
         done = terminated | truncated
-        after = BatchState(env, obs, done, jnp.zeros_like(done), partners.redraw(carried, done, redraw_key), key)
+        after = BatchState(env, obs, done, jnp.zeros_like(done), partners.redraw(carried, env, done, redraw_key), key)
         if autoreset != "next_step":
             return after, Step(obs, reward, terminated, truncated, info)
         # Who waits stays where the automatic reset has put them; the step that all took is lost on them.

@@ -6,7 +6,7 @@ from typing import Annotated
 import tyro
 
 from assistax.cli.common import Count, File, Number, aligned
-from assistax.errors import UsageError
+from assistax.errors import UsageError, choose
 
 Methods = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME=]RUN[,RUN] ...")]
 
@@ -37,15 +37,12 @@ def evaluate(
         of the robot that each partner was trained with; 0 the best of the still, the random and the scripted robot.
       out: a .json for all numbers, with a picture of the same name beside it.
     """
-    from assistax.errors import choose
     from assistax.files import write_json
     from assistax.teamwork.report import picture, report, table
     from assistax.training import splits
     from assistax.training.run import Run
 
-    choose("part", part, ["test", "val"])
-    if out is not None and out.suffix != ".json":
-        raise UsageError(f"--out must be a .json file, not {out}.")
+    _check(out, part)
     named = _named(methods)
     populations = {one: splits.named(f"{population}:{split}/{one}")[1] for one in ("train", part)}
     found = report(named, populations, episodes, best_responses={str(p): Run.open(p) for p in best_responses})
@@ -85,14 +82,11 @@ def adapt(
       repeats: such series with each partner.
       out: a .json for all numbers.
     """
-    from assistax.errors import choose
     from assistax.files import write_json
     from assistax.teamwork.adaptation import adaptation
     from assistax.training import splits
 
-    choose("part", part, ["test", "val"])
-    if out is not None and out.suffix != ".json":
-        raise UsageError(f"--out must be a .json file, not {out}.")
+    _check(out, part)
     partners = splits.named(f"{population}:{split}/{part}")[1]
     found = adaptation(_named(methods), partners, in_a_row, repeats)
     print(f"{found['task']}, {len(partners)} partners to {part}, {in_a_row} episodes in a row, {repeats} times each")
@@ -129,8 +123,7 @@ def validity(
     from assistax.teamwork.validity import matrix_picture, validity_of
     from assistax.training.population import Population
 
-    if out is not None and out.suffix != ".json":
-        raise UsageError(f"--out must be a .json file, not {out}.")
+    _check(out)
     found = validity_of(Population.load(population), episodes, sample)
     for name in ("return", "success", "safe_success"):
         own, cross = found["self_play"][name], found["cross_play"][name]
@@ -141,6 +134,12 @@ def validity(
     if out is not None:
         write_json(out, found)
         matrix_picture(found, out.with_suffix(".png"))
+
+
+def _check(out: Path | None, part: str = "test") -> None:
+    choose("part", part, ["test", "val"])
+    if out is not None and out.suffix != ".json":
+        raise UsageError(f"--out must be a .json file, not {out}.")
 
 
 def _named(methods: tuple[str, ...]) -> dict:

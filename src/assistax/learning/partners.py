@@ -39,7 +39,7 @@ class Partners:
             carry = player.initial_carry()
             carry = jax.tree.map(lambda x: jnp.broadcast_to(x, (self.num_envs, *jnp.shape(x))), carry)
             state[agent] = {"index": jnp.zeros(self.num_envs, jnp.int32), "carry": carry}
-        return self.redraw(state, jnp.ones(self.num_envs, bool), key)
+        return self._drawn(state, jnp.ones(self.num_envs, bool), key)
 
     def act(self, state, env_state, obs, reset, key):
         """The partners' actions {agent: [num_envs, n]}, and `state` with their carries moved on.
@@ -66,8 +66,14 @@ class Partners:
             return jnp.zeros(self.num_envs, bool)
         return jax.vmap(self._env.met_before)(env_state)
 
-    def redraw(self, state, done, key):
-        """`state` with a fresh member, uniform over all, wherever an episode ended (done [num_envs])."""
+    def redraw(self, state, env_state, done, key):
+        """`state` with a fresh member, uniform over all, where an episode ended (done [num_envs]) and who plays leaves.
+
+        env_state is that of the next step, after the reset.
+        """
+        return self._drawn(state, done & ~self.stay(env_state), key)
+
+    def _drawn(self, state, done, key):
         drawn = {}
         for i, (agent, player) in enumerate(self.players.items()):
             fresh = player.draw(jax.random.fold_in(key, i), done.shape)

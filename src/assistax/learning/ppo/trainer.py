@@ -188,7 +188,7 @@ class PPO:
                 played |= {"cost": info["cost"], "episode_cost": total, "whole": whole}
                 so_far = jnp.where(done, 0.0, total)
             log = step_log(info, whole)
-            partner_state = self.partners.redraw(partner_state, done & ~self.partners.stay(env_state), redraw_key)
+            partner_state = self.partners.redraw(partner_state, env_state, done, redraw_key)
             return (env_state, next_obs, done, memory, noise, partner_state, so_far, t + 1), (played, log)
 
         key, rollout_key = jax.random.split(state.key)

@@ -181,7 +181,7 @@ class SAC:
             step_keys = jax.random.split(step_key, self.num_envs)
             obs, env_state, rewards, terminated, truncated, info = jax.vmap(env.step)(step_keys, env_state, actions)
             done = terminated["__all__"] | truncated["__all__"]
-            partner_state = self.partners.redraw(partner_state, done & ~self.partners.stay(env_state), redraw_key)
+            partner_state = self.partners.redraw(partner_state, env_state, done, redraw_key)
             next_others, partner_state = self._partners_act(partner_state, env_state, obs, done, partner_key)
             transition = {
                 "obs": row,
