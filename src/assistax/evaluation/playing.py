@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from assistax import programs
 from assistax.env import Env
 from assistax.evaluation import turns
 from assistax.evaluation.distribution import Distribution
@@ -33,8 +34,8 @@ class Evaluator:
         self.env, self.episodes = env, episodes
         turns = -(-episodes // MOST_AT_ONCE)
         self._at_once = -(-episodes // turns)
-        self._play = jax.jit(jax.vmap(self._one, (None, 0, 0)))
-        self._drawn = jax.jit(jax.vmap(self._one, (None, 0, None)))
+        self._play = programs.jit(jax.vmap(self._one, (None, 0, 0)))
+        self._drawn = programs.jit(jax.vmap(self._one, (None, 0, None)))
 
     def __call__(self, team: Team, seed: int = EVALUATION_SEED, people: Any = None) -> dict[str, Any]:
         """Play.

@@ -13,6 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from assistax import programs
 from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.evaluation import turns
@@ -65,7 +66,7 @@ class Series:
         self._people = np.repeat(np.arange(len(population)), repeats)
         self._partner = population.partner("human", env=env)
         self._read = [t for t in (round(s / env.dt) - 1 for s in PROBED) if t < env.episode_length]
-        self._play = jax.jit(jax.vmap(self._one, (None, 0, 0)))
+        self._play = programs.jit(jax.vmap(self._one, (None, 0, 0)))
 
     def __call__(self, robot: Player, seed: int = EVALUATION_SEED) -> dict[str, np.ndarray]:
         """MEASURES by name, [partners, repeats, in_a_row]; the same draws for every robot.

@@ -6,6 +6,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from assistax import programs
+
 
 class Lanes:
     """Runs functions written for one training for `count` of them: each is the training it would be alone.
@@ -22,16 +24,16 @@ class Lanes:
     def start(self, fn) -> Callable[..., Any]:
         """`fn(key, ...)`, which makes a state, for lists [count] of its arguments: the state of all lanes."""
         if self._side_by_side:
-            batched = jax.jit(jax.vmap(fn))
+            batched = programs.jit(jax.vmap(fn))
             return lambda *lists: batched(*map(_stack, lists))
-        fn = jax.jit(fn)
+        fn = programs.jit(fn)
         return lambda *lists: [fn(*one) for one in zip(*lists, strict=True)]
 
     def jit(self, fn):
         """`fn(state, ...)`, which returns two things, for all lanes; the state that it is given is used up."""
         if self._side_by_side:
-            return jax.jit(jax.vmap(fn), donate_argnums=0)
-        fn = jax.jit(fn, donate_argnums=0)
+            return programs.jit(jax.vmap(fn), donate=0)
+        fn = programs.jit(fn, donate=0)
         return lambda *args: tuple(map(list, zip(*(fn(*one) for one in zip(*args, strict=True)), strict=True)))
 
     def like(self, fn, *lists) -> Any:
