@@ -190,6 +190,40 @@ def split(
     print(", ".join(f"{len(ids)} to {name}" for name, ids in parts.items()) + f", in {path}")
 
 
+def push(folder: Folder, name: Annotated[str, tyro.conf.Positional], *, private: Switch = False) -> None:
+    """Put a population onto the Hugging Face Hub, as a dataset with a card.
+
+    For example:
+      assistax population push populations/feeding somebody/feeding-people
+
+    Args:
+      folder: of the population.
+      name: OWNER/NAME of the dataset.
+      private: for yourself alone, if it is new.
+    """
+    from assistax.training import hub
+
+    print(f"{name}, commit {hub.push(folder, name, private)}")
+
+
+def pull(name: Annotated[str, tyro.conf.Positional], *, out: File = None, revision: Name = None) -> None:
+    """Fetch a population from the Hugging Face Hub and check that it is as it was saved.
+
+    For example:
+      assistax population pull somebody/feeding-people --out populations/feeding
+
+    Args:
+      name: OWNER/NAME of the dataset.
+      out: folder of the population (default populations/NAME).
+      revision: a commit, tag or branch (default the newest).
+    """
+    from assistax.training import hub
+
+    folder = out or Path("populations") / name.rpartition("/")[2]
+    found = hub.pull(name, folder, revision)
+    print(f"{len(found)} members of {found.task} in {folder}")
+
+
 def _shard(text: str | None) -> tuple[int, int]:
     first, _, number = (text or "1/1").partition("/")
     if not (first.isdigit() and number.isdigit() and 1 <= int(first) <= int(number)):
@@ -197,4 +231,13 @@ def _shard(text: str | None) -> tuple[int, int]:
     return int(first), int(number)
 
 
-COMMANDS = {"train": train, "make": make, "merge": merge, "show": show, "verify": verify, "split": split}
+COMMANDS = {
+    "train": train,
+    "make": make,
+    "merge": merge,
+    "show": show,
+    "verify": verify,
+    "split": split,
+    "push": push,
+    "pull": pull,
+}

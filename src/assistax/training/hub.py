@@ -1,0 +1,144 @@
+"""Populations on the Hugging Face Hub: a dataset there is the folder here, with a card that its manifest makes.
+
+Only the Hub's own client talks to it; where it is and who one is, the client's settings say (HF_ENDPOINT, HF_TOKEN).
+"""
+
+import os
+import shutil
+import tempfile
+from collections import Counter
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from assistax.errors import UsageError
+from assistax.files import writing
+from assistax.training.population import MANIFEST, Population
+
+SHARED = (MANIFEST, "weights-*.safetensors", "splits/*.json")  # of a population's folder; runs and plans stay at home
+CARD = "README.md"
+
+
+def push(folder: Path, name: str, private: bool = False) -> str:
+    """Put a population onto the Hub; raises UsageError if that fails, or if it is damaged.
+
+    Args:
+      folder: of the population.
+      name: OWNER/NAME of the dataset, which is made if it is not there.
+      private: whether a new dataset is for its owner alone.
+
+    Returns:
+      the commit there, which `pull` takes as a revision.
+    """
+    population, hub = Population.load(folder), _client()
+    with _plainly(name), tempfile.TemporaryDirectory() as place:
+        (Path(place) / CARD).write_text(card(population, name))
+        hub.HfApi().create_repo(name, repo_type="dataset", private=private, exist_ok=True)
+        made = [hub.CommitOperationAdd(CARD, Path(place) / CARD)]
+        made += [hub.CommitOperationAdd(str(path.relative_to(folder)), path) for path in _shared(folder)]
+        said = f"{len(population)} members of {population.task}"
+        return hub.HfApi().create_commit(name, made, commit_message=said, repo_type="dataset").oid
+
+
+def pull(name: str, folder: Path, revision: str | None = None) -> Population:
+    """Fetch a population into a new folder, which is there only if all of it arrived as it was saved.
+
+    Args:
+      name: OWNER/NAME of the dataset.
+      folder: of the population, not there yet.
+      revision: a commit, tag or branch; None: the newest.
+
+    Raises:
+      UsageError: the folder exists, nothing of that name is on the Hub, or what is there is no population.
+    """
+    if folder.exists():
+        raise UsageError(f"{folder} is there already; name another --out.")
+    hub = _client()
+    with writing(folder):
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        place = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        with _plainly(name, revision):
+            hub.HfApi().snapshot_download(
+                name, repo_type="dataset", revision=revision, local_dir=place, allow_patterns=list(SHARED)
+            )
+        shutil.rmtree(place / ".cache", ignore_errors=True)  # the client's notes
+        if not (place / MANIFEST).is_file():
+            raise UsageError(f"{name} on the Hub is not a population: it has no {MANIFEST}.")
+        found = Population.load(place)
+        with writing(folder):
+            place.chmod(0o755)
+            place.rename(folder)
+        return found
+    finally:
+        shutil.rmtree(place, ignore_errors=True)
+
+
+def card(population: Population, name: str) -> str:
+    """The dataset's page: who the members are and what they reach."""
+    trained = [row for row in population.rows if "mean_return" in row and "fraction" not in row]
+    kinds = Counter(row["person"]["disability"] for row in population.rows)
+    lines = [
+        "---",
+        f"pretty_name: People for {population.task}",
+        "tags: [assistax, multi-agent-reinforcement-learning, ad-hoc-teamwork, robotics]",
+        "configs:",
+        "- config_name: members",
+        f"  data_files: {MANIFEST}",
+        "---",
+        "",
+        f"# {len(population)} people for `{population.task}`",
+        "",
+        "Partners for robots that are to work with people they have never met: trained policies of people, each with a "
+        "body, preferences and the robot they were trained with.",
+        "",
+        "```sh",
+        f"assistax population pull {name} --out populations/{name.rpartition('/')[2]}",
+        "```",
+        "",
+        "| disability | members |",
+        "|---|---|",
+        *(f"| {kind} | {number} |" for kind, number in kinds.items()),
+        "",
+    ]
+    if trained:
+        safe = sum(row.get("safe_success_rate", 0.0) for row in trained) / len(trained)
+        lines += [f"With their own robots they succeed safely in {safe:.0%} of the episodes, on average.", ""]
+    return "\n".join(lines)
+
+
+def _shared(folder: Path) -> list[Path]:
+    return sorted(path for pattern in SHARED for path in folder.glob(pattern))
+
+
+def _client() -> Any:
+    """The Hub's package; raises UsageError if it is not there."""
+    os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
+    try:
+        import huggingface_hub.errors
+    except ImportError:
+        raise UsageError('Sharing needs the Hugging Face Hub\'s client: pip install "assistax[hub]".') from None
+    return huggingface_hub
+
+
+@contextmanager
+def _plainly(name: str, revision: str | None = None) -> Generator[None]:
+    """What goes wrong with the Hub inside is a UsageError of one line."""
+    hub = _client()
+    errors = hub.errors
+    try:
+        yield
+    except errors.HFValidationError:
+        raise UsageError(f"A population on the Hub is called OWNER/NAME, not {name!r}.") from None
+    except errors.RevisionNotFoundError:
+        raise UsageError(f"{name} on the Hub has no revision {revision!r}.") from None
+    except errors.RepositoryNotFoundError:
+        raise UsageError(f"There is no {name} on the Hub, or you may not see it (log in: hf auth login).") from None
+    except (errors.HfHubHTTPError, errors.OfflineModeIsEnabled, errors.LocalEntryNotFoundError, OSError) as error:
+        reason = str(error).strip().partition("\n")[0]
+        raise UsageError(f"The Hub at {hub.constants.ENDPOINT} did not do it: {reason}") from None
+    except Exception as error:  # of the library with which the client speaks HTTP, which changes
+        if type(error).__module__.partition(".")[0] in ("httpx", "httpx2", "httpcore", "httpcore2", "requests"):
+            raise UsageError(f"The Hub at {hub.constants.ENDPOINT} cannot be reached ({error}).") from None
+        raise
