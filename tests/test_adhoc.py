@@ -20,6 +20,7 @@ from assistax.policies import Player, scripted_policy
 from assistax.teamwork.adaptation import Series, about, probe, slope, summarize_series
 from assistax.teamwork.adhoc import Meeting, Scale, gap, summarize
 from assistax.teamwork.report import report
+from assistax.teamwork.validity import with_robots
 from assistax.training import splits
 from assistax.training.configuration import configure
 from assistax.training.population import Population
@@ -156,6 +157,17 @@ def test_the_report_has_everybody(robots, tmp_path):
             assert len(one["return"]["by_partner"]) == len(found["partners"][part])
             assert len(one["return"]["by_seed"]) == 2
     assert set(found["gap"]) == {"br", "oracle"}
+
+
+def test_cross_play_is_of_members_with_robots_as_they_are_now(population):
+    rows = list(population.rows)
+    rows[1] = rows[1] | {"fraction": 0.333}
+    rows[3] = rows[3] | {"robot": False}
+    mixed = dataclasses.replace(population, rows=tuple(rows))
+    assert with_robots(mixed).ids == (mixed.ids[0], mixed.ids[2], mixed.ids[4])
+    assert set(with_robots(mixed, 2).ids) < {mixed.ids[0], mixed.ids[2], mixed.ids[4]}
+    with pytest.raises(UsageError, match="two members"):
+        with_robots(mixed.select(mixed.ids[:2]))
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import shutil
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -18,6 +19,7 @@ from assistax.human import Person
 from assistax.learning.partners import Partners
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.policies import Player, scripted_policy
+from assistax.teamwork import gather as gathering
 from assistax.teamwork.gather import gather
 from assistax.teamwork.plan import Plan
 from assistax.teamwork.plan import train as train_plan
@@ -391,6 +393,17 @@ def test_earlier_selves_are_as_good_as_they_were_and_go_with_their_members(in_on
     splits.save(splits.path_of(folder, "disability"), parts)
     _, fcp = splits.named(f"{folder}:disability/train+earlier")
     assert len(fcp) == 3 and len({row["person"]["disability"] for row in fcp.rows}) == 1
+
+
+def test_earlier_selves_are_those_a_third_and_two_thirds_of_the_way(monkeypatch):
+    """Success comes at once here: of the steps without it, the one with a third of the return."""
+    curve = {100: (0, 0.0), 200: (300, 0.0), 300: (450, 0.0), 400: (900, 1.0), 500: (700, 1.0)}
+    rows = [{"seed": 7, "steps": n, "episodes": {"return": [r], "success": [s]}} for n, (r, s) in curve.items()]
+    monkeypatch.setattr(gathering.journal, "read", lambda *_: rows)
+    run = SimpleNamespace(folder=None, seeds=SimpleNamespace(seeds=[7]), earlier_teams=lambda steps: [f"team {steps}"])
+    final = {"steps": 600, "mean_return": 1000.0, "success_rate": 1.0}
+    found = gathering._earlier(run, {"seed": 7}, final)
+    assert [(row["fraction"], team) for row, team in found] == [(0.333, "team 200"), (0.667, "team 500")]
 
 
 def test_another_plan_is_refused(plan, in_one_go, tmp_path):

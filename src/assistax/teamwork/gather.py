@@ -1,6 +1,7 @@
 """A population from the runs that trained its members."""
 
 from collections.abc import Iterable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,9 +36,10 @@ def gather(runs: Iterable[Run]) -> Population:
 
 
 def _earlier(run: Run, row: dict[str, Any], final: dict[str, Any]) -> list[tuple[dict[str, Any], Any]]:
-    """Of the snapshots that a run has kept, those nearest to FRACTIONS of its final success, or return if it has none.
+    """Of the snapshots that a run has kept, those nearest to FRACTIONS of its final success, then of its return.
 
-    As in fictitious co-play (Strouse et al. 2021): partners who are not yet good belong to those one may meet.
+    Success often comes at once: the return then tells what is a third of the way. As in fictitious co-play (Strouse et
+    al. 2021): partners who are not yet good belong to those one may meet.
     """
     index = list(run.seeds.seeds).index(row["seed"])
     found: list[dict[str, Any]] = []
@@ -49,11 +51,14 @@ def _earlier(run: Run, row: dict[str, Any], final: dict[str, Any]) -> list[tuple
         }
         reached = {f"{k}_rate": x for k, x in means.items() if k != "return"}
         found.append({"steps": one["steps"], "mean_return": means["return"]} | reached)
-    by = "success_rate" if final["success_rate"] > 0 else "mean_return"
+
+    def off(one, fraction):
+        return [abs(one[by] - fraction * final[by]) for by in ("success_rate", "mean_return")]
+
     teams, taken = [], set()
     for fraction in FRACTIONS:
         kept = [one for one in found if one["steps"] not in taken]
-        for one in sorted(kept, key=lambda one: abs(one[by] - fraction * final[by])):
+        for one in sorted(kept, key=partial(off, fraction=fraction)):
             if earlier := run.earlier_teams(one["steps"]):
                 taken.add(one["steps"])
                 teams.append((row | one | {"fraction": round(fraction, 3)}, earlier[index]))

@@ -32,7 +32,7 @@ def validity_of(
     """Cross-play of a population.
 
     Args:
-      population: two members or more who have robots.
+      population: two members or more who have robots; their earlier selves do not count.
       episodes: of each pair.
       sample: so many members, at random; None: all.
       seed: of the draws.
@@ -42,12 +42,7 @@ def validity_of(
       "cross_play" means, and what is "lost" from one to the other, as a fraction (of the return above a still robot's);
       "valid", and "why" not.
     """
-    with_robots = [row["id"] for row in population.rows if row["robot"]]
-    if sample is not None and sample < len(with_robots):
-        with_robots = sorted(np.random.default_rng(seed).permutation(with_robots)[:sample].tolist())
-    if len(with_robots) < 2:
-        raise UsageError("Cross-play needs two members with robots, or more.")
-    population = population.select(with_robots)
+    population = with_robots(population, sample, seed)
     number = len(population)
     env = Env(population.task, "auto", with_settings(EnvConfig(), {"human.people": population.people}))
     meeting, found = Meeting(env, population, episodes), []
@@ -83,6 +78,16 @@ def validity_of(
         "valid": bool(valid),
         "why": why,
     } | stamp()
+
+
+def with_robots(population: Population, sample: int | None = None, seed: int = EVALUATION_SEED) -> Population:
+    """The members who have robots, without their earlier selves; or so many of them, at random."""
+    ids = [row["id"] for row in population.rows if row["robot"] and "fraction" not in row]
+    if sample is not None and sample < len(ids):
+        ids = sorted(np.random.default_rng(seed).permutation(ids)[:sample].tolist())
+    if len(ids) < 2:
+        raise UsageError("Cross-play needs two members with robots, or more.")
+    return population.select(ids)
 
 
 def matrix_picture(found: Mapping[str, Any], path: Path) -> None:
