@@ -315,6 +315,9 @@ def test_a_population_is_a_partner_by_name(teams, tmp_path, monkeypatch):
     options = "--num-envs", 8, "--steps", 128, "--partner", who, "--out", out
     assistax_command("train", "scratch-v0", *options, *small)
     chosen = splits.named(f"{folder}:algorithm/test")[1]
+    strangers = f"human={folder}:algorithm/train"  # other people than those of training
+    met = assistax_command("evaluate", out, "--partner", strangers, "--episodes", 2, "--json")
+    assert json.loads(met.stdout)["partners"] == [strangers]
     shutil.rmtree(folder)  # the run has its own copy
     run = Run.open(out)
     assert run.trainer.learners == ("robot",) and run.env.config.human.people == chosen.people

@@ -54,7 +54,7 @@ def teams_of(
     from assistax.training.partners import find_partner, split_pair
 
     settings = people_of(partners) | parse_assignments(assignments)
-    env, teams, about = _teams_of(target, policy, engine, settings)
+    env, teams, about = _teams_of(target, policy, engine, settings, partners)
     for text in partners:
         agent, name = split_pair(text)
         choose("agent", agent, env.agents)
@@ -64,12 +64,14 @@ def teams_of(
     return env, teams, about
 
 
-def _teams_of(target: str, policy: str | None, engine: str | None, settings: dict[str, Any]):
+def _teams_of(target: str, policy: str | None, engine: str | None, settings: dict[str, Any], partners: tuple[str, ...]):
     from assistax.env import Env
     from assistax.policies import SCRIPTED, scripted_team
     from assistax.tasks import TASKS, is_task, task_spec
     from assistax.training.configuration import configure
+    from assistax.training.partners import split_pair
     from assistax.training.run import Run
+    from assistax.training.run_folder import read_config
     from assistax.training.team_file import load_team, trained_file
 
     if policy == "trained":
@@ -90,7 +92,11 @@ def _teams_of(target: str, policy: str | None, engine: str | None, settings: dic
         return env, [team], {"task": env.name, "team": target}
     if not path.is_dir():
         raise UsageError(f"{target!r} is neither a run folder, nor a team file, nor a task ({', '.join(TASKS)}).")
-    run = Run.open(path, settings, engine=engine)
+    frozen = dict(map(split_pair, (config := read_config(path)).partners))
+    others = {agent: name for agent, name in map(split_pair, partners) if agent in frozen}
+    copies = tuple(text for text in config.partner_copies if split_pair(text)[0] not in others)
+    instead = tuple(f"{agent}={name}" for agent, name in (frozen | others).items())
+    run = Run.open(path, settings, engine=engine, partners=instead, partner_copies=copies)
     return run.env, run.teams(), {"task": run.config.task, "run": target}
 
 
