@@ -78,6 +78,7 @@ def test_scores_are_between_who_knows_nobody_and_who_knows_them():
     references |= {
         "own": {"return": np.array([[5.0], [5.1], [4.0]])},
         "best": {"return": np.array([[7.0], [5.0], [3.0]])},
+        "considerate": {"return": np.array([[9.0], [9.0], [9.0]])},  # no end of the scale
     }
     scale = Scale.of(references)
     assert scale.zero.tolist() == [3, 5, 2] and scale.one.tolist() == [7, 5.1, 4]
@@ -152,7 +153,7 @@ def test_the_report_has_everybody(robots, tmp_path):
     assert "expert" in printed and "br: coordination gap" in printed and out.with_suffix(".png").exists()
     found = json.loads(out.read_text())
     for part in ("train", "test"):
-        assert set(found[part]["references"]) == {"still", "random", "expert", "own"}
+        assert set(found[part]["references"]) == {"still", "random", "expert", "considerate", "own"}
         for one in found[part]["methods"].values():
             assert len(one["return"]["by_partner"]) == len(found["partners"][part])
             assert len(one["return"]["by_seed"]) == 2

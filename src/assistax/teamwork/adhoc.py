@@ -20,6 +20,7 @@ from assistax.training.population import Population
 MEASURES = ("return", "success", "safe_success", "task_return", "preference_return", "peak_force")
 MEASURES += ("seconds_above_comfort", "clamping", "impact")
 NOBODYS = ("still", "random", "expert")  # robots whose best is worth 0
+CONSIDERATE = "considerate"  # the expert told the preferences; shown, and no end of the scale
 WORST = 0.1  # of the partners
 LEAST = 0.1  # of the reference's return, by which it must be above the zero for a partner to be scored
 
@@ -49,8 +50,9 @@ class Meeting:
         return {k: np.asarray(found[k], float).reshape(-1, self.episodes) for k in MEASURES if k in found}
 
     def references(self) -> dict[str, dict[str, np.ndarray]]:
-        """What robots reach that know nobody (NOBODYS), and what each partner's own robot reaches ("own")."""
-        found = {name: self.scripted(name) for name in NOBODYS}
+        """What robots reach that know nobody (NOBODYS), CONSIDERATE, and each partner's own robot ("own")."""
+        named = (*NOBODYS, CONSIDERATE) if self.env.config.human.preferring else NOBODYS
+        found = {name: self.scripted(name) for name in named}
         if all(row["robot"] for row in self.population.rows):
             found["own"] = self(self.population.partner("robot", deterministic=True))
         return found
@@ -72,7 +74,7 @@ class Scale:
         """From `Meeting.references`, and best responses beside them, whatever their names."""
         means = {name: found["return"].mean(1) for name, found in references.items()}
         zero = np.max([means[name] for name in NOBODYS], 0)
-        known = [mean for name, mean in means.items() if name not in NOBODYS]
+        known = [mean for name, mean in means.items() if name not in (*NOBODYS, CONSIDERATE)]
         return cls(zero, np.max(known, 0) if known else np.full_like(zero, np.nan))
 
     @property

@@ -93,7 +93,7 @@ def with_robots(population: Population, sample: int | None = None, seed: int = E
 def matrix_picture(found: Mapping[str, Any], path: Path) -> None:
     """Return and success of every robot (rows) with every person (columns), alike members side by side."""
     order = _by_convention(np.array(found["matrix"]["return"]))
-    with rc_context(STYLE):
+    with rc_context(STYLE | {"axes.grid": False}):
         figure = Figure(figsize=(9.6, 4.2), layout="constrained")
         for axes, name in zip(figure.subplots(1, 2), ("return", "success"), strict=True):
             matrix = np.array(found["matrix"][name])[np.ix_(order, order)]
