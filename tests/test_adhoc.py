@@ -90,6 +90,13 @@ def test_scores_are_between_who_knows_nobody_and_who_knows_them():
     assert not Scale.of({k: references[k] for k in returns}).scored.any()
 
 
+def test_intervals_of_rates_are_of_rates():
+    robots = [{"success": np.array([[1.0], [0.0], [1.0]]), "return": np.array([[1.0], [0.0], [1.0]])}]
+    found = summarize(robots)
+    assert found["success"]["ci"] == (0.0, 1.0)
+    assert found["return"]["ci"][0] < 0.0 and found["return"]["ci"][1] > 1.0
+
+
 def test_preferences_count_only_with_success():
     one = {"return": np.ones((2, 2)), "success": np.array([[1.0, 0.0], [1.0, 1.0]])}
     one["preference_return"] = np.array([[10.0, 100.0], [20.0, 40.0]])

@@ -19,6 +19,7 @@ from assistax.training.population import Population
 
 MEASURES = ("return", "success", "safe_success", "task_return", "preference_return", "peak_force")
 MEASURES += ("seconds_above_comfort", "clamping", "impact")
+RATES = ("success", "safe_success")
 NOBODYS = ("still", "random", "expert")  # robots whose best is worth 0
 CONSIDERATE = "considerate"  # the expert told the preferences; shown, and no end of the scale
 WORST = 0.1  # of the partners
@@ -104,7 +105,7 @@ def summarize(seeds: Sequence[Mapping[str, np.ndarray]], scale: Scale | None = N
         found["gated_preference_return"] = np.stack(gated)
     if scale is not None and scale.scored.any():
         found["score"] = scale(found["return"])[:, scale.scored]
-    return {name: _measure(x, low=name in ("return", "success", "safe_success", "score")) for name, x in found.items()}
+    return {name: _measure(name, x) for name, x in found.items()}
 
 
 def gap(train: Mapping[str, Any], test: Mapping[str, Any]) -> dict[str, float]:
@@ -112,13 +113,16 @@ def gap(train: Mapping[str, Any], test: Mapping[str, Any]) -> dict[str, float]:
     return {name: train[name]["mean"] - test[name]["mean"] for name in train if name in test}
 
 
-def _measure(x: np.ndarray, low: bool) -> dict[str, Any]:
-    by_partner = x.mean(0)
+def _measure(name: str, x: np.ndarray) -> dict[str, Any]:
+    by_partner, interval = x.mean(0), crossed_ci(x)
     number = max(1, round(WORST * len(by_partner)))
+    low = name in ("return", *RATES, "score")
     worst = np.sort(by_partner)[:number] if low else np.sort(by_partner)[-number:]
+    if interval is not None and name in RATES:  # Student's t knows no bounds
+        interval = max(interval[0], 0.0), min(interval[1], 1.0)
     return {
         "mean": float(x.mean()),
-        "ci": crossed_ci(x),
+        "ci": interval,
         "worst": float(worst.mean()),
         "by_partner": [round(float(value), 4) for value in by_partner],
         "by_seed": [round(float(value), 4) for value in x.mean(1)],

@@ -107,7 +107,6 @@ _LIMITS = {  # of cost where 2 is not right
     "bed_bath": {"cost_limit": 5.0},  # a robot that washes well has 3.8
     "arm_assist": {"cost_limit": 5.0},  # with 2 the arm is lifted later; in the end it costs 0.3 to 1.6 either way
     "feeding": {"cost_limit": 0.5},  # with 2 a team fed everybody and hit the face with 55 N once in an episode
-    "tooth_brushing": {"cost_limit": 0.5},
 }
 # The same for SAC.
 _OUR_SAC = {
