@@ -19,7 +19,7 @@ from assistax.learning.ppo import PPO, PPOConfig
 from assistax.policies import Player, scripted_policy
 from assistax.teamwork.adaptation import Series, about, probe, slope, summarize_series
 from assistax.teamwork.adhoc import Meeting, Scale, gap, summarize
-from assistax.teamwork.report import report
+from assistax.teamwork.report import picture, report
 from assistax.teamwork.validity import with_robots
 from assistax.training import splits
 from assistax.training.configuration import configure
@@ -88,6 +88,15 @@ def test_scores_are_between_who_knows_nobody_and_who_knows_them():
     assert found["score"]["by_partner"] == [0.75, 0.5] and found["score"]["mean"] == 0.625
     assert found["score"]["by_seed"] == [0.25, 1.0] and found["return"]["worst"] == 3.0
     assert not Scale.of({k: references[k] for k in returns}).scored.any()
+
+
+def test_the_picture_needs_no_score(tmp_path):
+    """Nobody of one part may be scored."""
+    one = {"mean": 0.5, "ci": (0.0, 1.0), "by_partner": [0.0, 1.0]}
+    methods = {"train": {"br": {"return": one, "score": one}}, "test": {"br": {"return": one}}}
+    found = {"task": "feeding-v1"} | {part: {"methods": made} for part, made in methods.items()}
+    picture(found, tmp_path / "table.png")
+    assert (tmp_path / "table.png").stat().st_size > 5000
 
 
 def test_intervals_of_rates_are_of_rates():

@@ -121,10 +121,11 @@ def table(found: Mapping[str, Any], part: str = "test") -> tuple[list[str], list
 
 
 def picture(found: Mapping[str, Any], path: Path) -> None:
-    """Score or return by method, training partners beside held-out ones, a dot for each partner."""
+    """Safe success, score or return by method, training partners beside held-out ones, a dot for each partner."""
     parts = [part for part in ("train", "val", "test") if part in found]
     names = list(found[parts[-1]]["methods"])
-    measure = "score" if all("score" in found[parts[-1]]["methods"][name] for name in names) else "return"
+    everywhere = set.intersection(*(set(found[part]["methods"][name]) for part in parts for name in names))
+    measure = next(one for one in ("safe_success", "score", "return") if one in everywhere)
     with rc_context(STYLE):
         figure = Figure(figsize=(2.0 + 1.6 * len(names), 3.6), layout="constrained")
         axes = figure.subplots()
@@ -138,7 +139,7 @@ def picture(found: Mapping[str, Any], path: Path) -> None:
                 error = [[one["mean"] - low], [high - one["mean"]]]
                 axes.errorbar(x, one["mean"], error, fmt="o", color=f"C{k}", capsize=3, label=part if i == 0 else None)
         axes.set_xticks(range(len(names)), names)
-        axes.set_ylabel(f"{measure} (95 % interval over seeds and partners)")
+        axes.set_ylabel(f"{measure.replace('_', ' ')} (95 % interval over seeds and partners)")
         axes.set_title(found["task"])
         axes.legend(title="partners")
         figure.savefig(path, dpi=150)
