@@ -18,10 +18,11 @@ class Hub(ThreadingHTTPServer):
         self.address = f"http://127.0.0.1:{self.server_port}"
         threading.Thread(target=self.serve_forever, daemon=True).start()
 
-    def add(self, name, files):
-        """A commit with these files changed."""
-        history = self.commits[name]
+    def add(self, name, files, without=()):
+        """A commit with these files changed, and others gone."""
+        history = self.commits.setdefault(name, [])
         content = (dict(history[-1][1]) if history else {}) | files
+        content = {path: content[path] for path in content if path not in without}
         commit = hashlib.sha1(repr((len(history), sorted(content.items()))).encode()).hexdigest()
         history.append((commit, content))
         return commit
@@ -59,7 +60,8 @@ class _Handler(BaseHTTPRequestHandler):
         if path == "/api/repos/create":
             about = json.loads(sent)
             name = f"{about['organization']}/{about['name']}"
-            self.server.commits.setdefault(name, [])
+            if name not in self.server.commits:
+                self.server.add(name, {".gitattributes": b""})
             return self._answer(200, {"url": f"{self.server.address}/datasets/{name}"})
         if path == "/api/validate-yaml":
             return self._answer(200, {"errors": [], "warnings": []})
@@ -70,7 +72,7 @@ class _Handler(BaseHTTPRequestHandler):
             return self._answer(200, {"files": [{"path": one} | plain for one in files]})
         rows = [json.loads(line) for line in sent.splitlines()]
         files = {r["value"]["path"]: base64.b64decode(r["value"]["content"]) for r in rows if r["key"] == "file"}
-        commit = self.server.add(name, files)
+        commit = self.server.add(name, files, [r["value"]["path"] for r in rows if r["key"] == "deletedFile"])
         self._answer(200, {"commitUrl": f"{self.server.address}/datasets/{name}/commit/{commit}", "commitOid": commit})
 
     def do_GET(self):

@@ -47,4 +47,4 @@ def _program(fn, donate: int | None, args):
         return jaxpr_as_fun(ClosedJaxpr(closed.jaxpr, numbers))(*jax.tree.leaves(args))
 
     program.__name__ = getattr(fn, "__name__", "program")  # what profiles call it
-    return jax.jit(program, donate_argnums=0), closed.consts, jax.tree.structure(shapes)
+    return jax.jit(program, donate_argnums=0), jax.device_put(closed.consts), jax.tree.structure(shapes)

@@ -93,10 +93,10 @@ def _teams_of(target: str, policy: str | None, engine: str | None, settings: dic
     if not path.is_dir():
         raise UsageError(f"{target!r} is neither a run folder, nor a team file, nor a task ({', '.join(TASKS)}).")
     frozen = dict(map(split_pair, (config := read_config(path)).partners))
-    others = {agent: name for agent, name in map(split_pair, partners) if agent in frozen}
+    others = {agent for agent, _ in map(split_pair, partners)}  # who plays them is found by the caller
     copies = tuple(text for text in config.partner_copies if split_pair(text)[0] not in others)
-    instead = tuple(f"{agent}={name}" for agent, name in (frozen | others).items())
-    run = Run.open(path, settings, engine=engine, partners=instead, partner_copies=copies)
+    kept = tuple(f"{agent}={'still' if agent in others else name}" for agent, name in frozen.items())
+    run = Run.open(path, settings, engine=engine, partners=kept, partner_copies=copies)
     return run.env, run.teams(), {"task": run.config.task, "run": target}
 
 

@@ -9,6 +9,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Generator
 from contextlib import contextmanager
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ CARD = "README.md"
 
 
 def push(folder: Path, name: str, private: bool = False) -> str:
-    """Put a population onto the Hub; raises UsageError if that fails, or if it is damaged.
+    """Put a population onto the Hub, in place of what was there; raises UsageError if that fails, or it is damaged.
 
     Args:
       folder: of the population.
@@ -35,8 +36,12 @@ def push(folder: Path, name: str, private: bool = False) -> str:
     with _plainly(name), tempfile.TemporaryDirectory() as place:
         (Path(place) / CARD).write_text(card(population, name))
         hub.HfApi().create_repo(name, repo_type="dataset", private=private, exist_ok=True)
+        ours = {path.relative_to(folder).as_posix(): path for kind in SHARED for path in sorted(folder.glob(kind))}
+        theirs = hub.HfApi().list_repo_files(name, repo_type="dataset")
+        old = [one for one in theirs if one not in ours and any(fnmatch(one, kind) for kind in SHARED)]
         made = [hub.CommitOperationAdd(CARD, Path(place) / CARD)]
-        made += [hub.CommitOperationAdd(str(path.relative_to(folder)), path) for path in _shared(folder)]
+        made += [hub.CommitOperationAdd(one, path) for one, path in ours.items()]
+        made += [hub.CommitOperationDelete(one) for one in old]
         said = f"{len(population)} members of {population.task}"
         return hub.HfApi().create_commit(name, made, commit_message=said, repo_type="dataset").oid
 
@@ -59,7 +64,7 @@ def pull(name: str, folder: Path, revision: str | None = None) -> Population:
         folder.parent.mkdir(parents=True, exist_ok=True)
         place = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
-        with _plainly(name, revision):
+        with writing(folder), _plainly(name, revision):
             hub.HfApi().snapshot_download(
                 name, repo_type="dataset", revision=revision, local_dir=place, allow_patterns=list(SHARED)
             )
@@ -108,10 +113,6 @@ def card(population: Population, name: str) -> str:
     return "\n".join(lines)
 
 
-def _shared(folder: Path) -> list[Path]:
-    return sorted(path for pattern in SHARED for path in folder.glob(pattern))
-
-
 def _client() -> Any:
     """The Hub's package; raises UsageError if it is not there."""
     os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
@@ -135,7 +136,7 @@ def _plainly(name: str, revision: str | None = None) -> Generator[None]:
         raise UsageError(f"{name} on the Hub has no revision {revision!r}.") from None
     except errors.RepositoryNotFoundError:
         raise UsageError(f"There is no {name} on the Hub, or you may not see it (log in: hf auth login).") from None
-    except (errors.HfHubHTTPError, errors.OfflineModeIsEnabled, errors.LocalEntryNotFoundError, OSError) as error:
+    except (errors.HfHubHTTPError, errors.OfflineModeIsEnabled, errors.LocalEntryNotFoundError) as error:
         reason = str(error).strip().partition("\n")[0]
         raise UsageError(f"The Hub at {hub.constants.ENDPOINT} did not do it: {reason}") from None
     except Exception as error:  # of the library with which the client speaks HTTP, which changes
