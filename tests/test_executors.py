@@ -144,6 +144,27 @@ def test_ctrl_c_has_the_workers_save(toys):
     assert all(claims.read(paths[-1])["released"] for paths in claims.claims(folder / "workers").values())
 
 
+@pytest.mark.parametrize("moment", ["claimed", "begun"])
+def test_a_job_that_does_not_listen_yet_is_released(tmp_path, monkeypatch, moment):
+    """SIGTERM comes between the claim and the moment from which the job itself would save."""
+
+    def terminated(do):
+        def then(*args):
+            result = do(*args)
+            os.kill(os.getpid(), signal.SIGTERM)
+            return result
+
+        return then
+
+    before = signal.getsignal(signal.SIGTERM)
+    if moment == "claimed":
+        monkeypatch.setattr("assistax.executors.jobs.take", terminated(claims.take))
+    job = Job("one", 1, lambda: 0, terminated(lambda: True))
+    with pytest.raises(KeyboardInterrupt):
+        work(tmp_path, [job])
+    assert claims.read(tmp_path / "one.0001")["released"] and signal.getsignal(signal.SIGTERM) is before
+
+
 def test_a_job_that_cannot_be_done_is_given_up_after_all_others(toys):
     folder, jobs, _ = toys
     (folder / "00.bad").touch()

@@ -5,6 +5,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -77,8 +78,16 @@ def work(folder: Path, jobs: Sequence[Job], begin: Callable[[Job], None] = lambd
 
     Returns whether it went through to the end of the list, not stopped by a signal. A job that raises ends it; what it
     raised stands in its claim.
+
+    Raises:
+      KeyboardInterrupt: SIGTERM came while no job that would save was listening; nothing is claimed any more.
     """
     _end_with_parent()
+    with _Sigterm() as sigterm:
+        return _work(folder, jobs, begin, sigterm)
+
+
+def _work(folder: Path, jobs: Sequence[Job], begin: Callable[[Job], None], sigterm: "_Sigterm") -> bool:
     left, known = list(jobs), set()
     while left:
         free = status(folder, left, known).open
@@ -87,11 +96,10 @@ def work(folder: Path, jobs: Sequence[Job], begin: Callable[[Job], None] = lambd
         job = free[0]
         left.remove(job)
         mine = take(folder, job.name, claims(folder).get(job.name, []), job.done())
-        if mine is None:
-            continue
         failed = None
         try:
-            if job.finished:  # while it was being claimed
+            sigterm.interrupt_from_now()
+            if mine is None or job.finished:  # while it was being claimed
                 continue
             begin(job)
             if not job.do():
@@ -103,8 +111,35 @@ def work(folder: Path, jobs: Sequence[Job], begin: Callable[[Job], None] = lambd
             failed = f"{type(error).__name__}: {error}".partition("\n")[0]
             raise
         finally:
-            mine.release(failed)
+            sigterm.interrupts = False
+            if mine is not None:
+                mine.release(failed)
     return True
+
+
+class _Sigterm:
+    """Has SIGTERM interrupt a job that does not listen itself; while one is claimed or released, it waits."""
+
+    interrupts, _came = False, False
+
+    def __enter__(self):
+        with suppress(ValueError):  # not the main thread: then nobody sends us signals
+            self._before = signal.signal(signal.SIGTERM, self._take)
+        return self
+
+    def __exit__(self, *_):
+        with suppress(AttributeError):
+            signal.signal(signal.SIGTERM, self._before)
+
+    def interrupt_from_now(self) -> None:
+        self.interrupts = True
+        if self._came:
+            raise KeyboardInterrupt
+
+    def _take(self, *_) -> None:
+        self._came = True
+        if self.interrupts:
+            raise KeyboardInterrupt
 
 
 def is_worker() -> bool:
