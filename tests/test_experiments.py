@@ -7,7 +7,7 @@ import pytest
 from commands import assistax
 
 import assistax.experiments as all_experiments
-from assistax.cli.reproduce import duration
+from assistax.cli.common import duration
 from assistax.errors import UsageError
 from assistax.executors.local import Local
 from assistax.experiments import advance, choose_experiments, experiments, status
@@ -64,7 +64,7 @@ def test_an_executor_does_what_is_missing(tmp_path, monkeypatch):
     monkeypatch.setattr(Local, "seconds", 0.01)
     printed = assistax("reproduce", "--only", "*", "--processes", 2).stdout
     assert printed.endswith("\nfinished 2, 0 left\n") and len(started) == 3
-    assert started[0] == ["assistax", "reproduce", "--budget", "100000h", "--seeds", "1", "--only", "*"]
+    assert started[0] == ["assistax", "reproduce", "--budget", "100000h", "--only", "*"]
     with pytest.raises(SystemExit):
         assistax("reproduce", "--budget", "9m", "--processes", 2)
 
@@ -91,12 +91,41 @@ def test_names_are_unique_and_chosen_by_pattern():
         "scratch-masac-paper-6M-0",
         "scratch-masac-paper-6M-1",
     ]
-    assert len(choose_experiments("*-ippo-paper-40M-?", 2)) == len(choose_experiments("*-ippo-default-40M-?", 2)) == 10
-    assert len(choose_experiments("*-masac-default-3M-0", 1)) == 5
-    assert len(choose_experiments("*-mappo-default-10M-0", 1)) == 5
-    assert len(choose_experiments("feeding-*-default-preferences-*-0", 1)) == 5  # every algorithm
+
+    def of_the_paper(pattern, seeds):
+        return [e for e in choose_experiments(pattern, seeds) if not e.name.startswith("version1/")]
+
+    assert len(of_the_paper("*-ippo-paper-40M-?", 2)) == len(of_the_paper("*-ippo-default-40M-?", 2)) == 10
+    assert len(of_the_paper("*-masac-default-3M-0", 1)) == 5
+    assert len(of_the_paper("*-mappo-default-10M-0", 1)) == 5
+    assert len(of_the_paper("feeding-*-default-preferences-*-0", 1)) == 5  # every algorithm
     with pytest.raises(UsageError, match="No experiment is called 'scrach'"):
         choose_experiments("scrach", 1)
+
+
+def test_the_list_begins_with_five_seeds_of_every_task():
+    names = [e.name for e in experiments()]
+    assert names[0] == "version1/scratch-ippo-default-10M-0"
+    assert all(name.startswith("version1/") and "-ippo-default-10M-" in name for name in names[:25])
+    assert {name[-1] for name in names[:25]} == set("01234")
+    for pattern, count in {
+        "still": 15,
+        "-preferences-10M-": 15 + 20,
+        "version1/feeding-ippo-default-tremor-": 1,
+    }.items():
+        assert len([name for name in names if pattern in name]) == count, pattern
+
+
+def test_a_person_who_does_nothing_is_a_frozen_partner(tmp_path, monkeypatch):
+    asked = []
+    monkeypatch.setattr("assistax.training.run.Run.create", lambda config, folder: asked.append(config))
+    monkeypatch.setattr("assistax.training.loop.train", lambda run, seconds: None)
+    for pattern in ("version1/feeding-ippo-default-still-10M-0", "feeding-ippo-default-tremor+weakness-10M-0"):
+        (experiment,) = [e for e in experiments() if e.name == pattern]
+        assert experiment.advance(tmp_path / "none", 1.0) is None
+    still, trembling = asked
+    assert still.task == "feeding-v1" and still.partners == ("human=still",) and still.steps == 10_000_000
+    assert trembling.task == "feeding-v0" and trembling.env.human.disability == "tremor+weakness"
 
 
 def test_durations():

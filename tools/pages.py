@@ -18,6 +18,8 @@ import notebook
 import numpy as np
 import task_pages
 
+from assistax.diagnostics import measurements
+from assistax.diagnostics.figure import speeds
 from assistax.env import make
 from assistax.errors import choose
 from assistax.evaluation import evaluate
@@ -184,55 +186,94 @@ def experts(records: list[dict[str, Any]]) -> str:
 
 SPEED_PAGE = """# Speed
 
-Open loop, everything included (observations, rewards, auto-reset, random actions), {num_envs} environments, the
-`{engine}` engine on {hardware}; `assistax bench TASK --train --json` at commit {commit}. Written from
-`results/bench/*.json` by `python tools/pages.py speed`.
+Everything is included: observations, rewards, auto-reset and, open loop, random actions. "Of the bare engine" is the
+rate over that of physics alone, same scene and states, in alternating rounds. A training is of IPPO, rollouts and updates
+without evaluations; rollouts are environments and policies. Written from `results/bench/*.json`, which
+`assistax bench --all --out FILE` makes, by `python tools/pages.py speed`.
 
-{ours}
+{machines}
 
-Beside Assistive Gym on the same two cores (two processes, Panda and acting human, resets not counted), and the paper's
-figures for its own implementation on an A100 with 1024 environments. An environment step is 8 ms of 4 physics steps
-here and 0.1 s of 5 there, so that there are three ratios:
+Beside Assistive Gym on two cores (two processes, Panda and acting human, resets not counted), and the paper's figures for
+its own implementation on an A100 with 1024 environments. An environment step is 8 ms of 4 physics steps here and 0.1 s of
+5 there, so that there are three ratios:
 
 {others}
 
 Several trainings at once go faster with a core each, on Linux `taskset -c 0 uv run assistax train …`: two of 10 M steps
 side by side took 26 minutes, where one with both cores takes 17 (measured once, not kept).
 """
+MACHINE = """## {hardware}, {engine} engine
+
+{tasks}
+
+Open loop by number of environments, steps/s:
+
+{sizes}
+
+![Speed over number of environments](images/{picture}.png)
+
+At commit {commit}."""
 ASSISTIVE_GYM = {"scratch": 301, "bed_bath": 138, "arm_assist": 217, "feeding": 326}  # env steps/s
 PAPER_A100 = {"scratch": 31_698, "bed_bath": 39_945, "arm_assist": 39_154}  # env steps/s, its table of speeds
+TWO_CORES = "two_cores"  # the file that is compared with Assistive Gym
 
 
-def speed(folder: Path) -> str:
-    reports = {task: read_json(folder / f"{task}.json", {str: object}) for task in BOUNDS}
-    ours, others = [], []
-    for task, r in reports.items():
+def speed(folder: Path, pictures: Path) -> str:
+    """The page of speeds; a figure for each machine goes to the folder `pictures`."""
+    machines = []
+    for path in sorted(folder.glob("*.json")):
+        report = read_json(path, measurements.FORMAT)
+        picture = f"speed_{path.stem}"
+        save(speeds(report), pictures / f"{picture}.png")
+        about = {"engine": report["rows"][0]["engine"], "picture": picture}
+        machines.append(MACHINE.format(**about, **_machine(report), **report))
+    two_cores = read_json(folder / f"{TWO_CORES}.json", measurements.FORMAT)
+    others = []
+    for task, theirs in ASSISTIVE_GYM.items():
+        r = _rows(two_cores, None)[f"{task}-v1"][0]
         rate = r["env_steps_per_s"]
-        ours.append([task, f"{rate:,}", f"{r['physics_steps_per_s']:,}", f"{r['simulated_seconds_per_s']:.0f}"])
-        ours[-1] += [f"{r['env_over_engine']:.0%}", f"{r['training_steps_per_s']:,}", f"{r['peak_memory_mb']:,}"]
-        if theirs := ASSISTIVE_GYM.get(task):
-            ratios = (
-                rate / theirs,
-                r["physics_steps_per_s"] / (5 * theirs),
-                r["simulated_seconds_per_s"] / (0.1 * theirs),
-            )
-            paper = f"{rate / PAPER_A100[task]:.2f}x" if task in PAPER_A100 else ""
-            others.append([task, *(f"{ratio:.0f}x" if ratio > 10 else f"{ratio:.1f}x" for ratio in ratios), paper])
-    mean = np.mean([r["env_steps_per_s"] for r in reports.values()])
-    ours.append(["mean", f"{mean:,.0f}", "", "", "", "", ""])
-    head = ["task", "env steps/s", "physics steps/s", "simulated s/s", "of the bare engine"]
-    head += ["IPPO training, env steps/s (paper's preset)", "peak memory, MB"]
-    other = [
+        ratios = rate / theirs, r["physics_steps_per_s"] / (5 * theirs), r["simulated_seconds_per_s"] / (0.1 * theirs)
+        paper = f"{rate / PAPER_A100[task]:.2f}x" if task in PAPER_A100 else ""
+        others.append([task, *(f"{ratio:.0f}x" if ratio > 10 else f"{ratio:.1f}x" for ratio in ratios), paper])
+    head = [
         "task",
         "env steps against Assistive Gym",
         "physics steps",
         "simulated seconds",
         "env steps against the A100",
     ]
-    tables = {"ours": markdown(head, ours), "others": markdown(other, others)}
-    return SPEED_PAGE.format(
-        **tables, **{k: reports["scratch"][k] for k in ("num_envs", "engine", "hardware", "commit")}
-    )
+    return SPEED_PAGE.format(machines="\n\n".join(machines), others=markdown(head, others))
+
+
+def _machine(report) -> dict[str, str]:
+    """Tables of one file of measurements: tasks at the first size, and open loop at all sizes."""
+    opened, ours, papers = (_rows(report, preset) for preset in (None, "default", "paper"))
+    tasks, sizes = [], sorted({row["num_envs"] for rows in opened.values() for row in rows})
+    for task, (first, *_) in opened.items():
+        cells = [f"{first[name]:,}" for name in ("env_steps_per_s", "physics_steps_per_s")]
+        cells += [f"{first['simulated_seconds_per_s']:.0f}", f"{first['env_over_engine']:.0%}"]
+        for trained in (ours, papers):
+            row = trained[task][0] if task in trained else {}
+            cells += [f"{row[name]:,}" if row else "" for name in ("training_steps_per_s", "rollout_steps_per_s")]
+        tasks.append([task, *cells])
+    mean = np.mean([rows[0]["env_steps_per_s"] for rows in opened.values()])
+    tasks.append(["mean", f"{mean:,.0f}", *[""] * 7])
+    head = ["task", f"env steps/s, {first['num_envs']} environments", "physics steps/s", "simulated s/s"]
+    head += ["of the bare engine", "training, `default`", "its rollouts", "training, `paper`", "its rollouts"]
+    by_size = []
+    for task, rows in opened.items():
+        rates = {row["num_envs"]: f"{row['env_steps_per_s']:,}" for row in rows}
+        by_size.append([task, *(rates.get(size, "") for size in sizes)])
+    return {"tasks": markdown(head, tasks), "sizes": markdown(["task", *(f"{n:,}" for n in sizes)], by_size)}
+
+
+def _rows(report, preset: str | None) -> dict[str, list[dict]]:
+    """By task, what was measured of trainings with a preset, of one seed, or open loop."""
+    found: dict[str, list[dict]] = {}
+    for row in report["rows"]:
+        if row["of"]["preset"] == preset and row["of"]["num_seeds"] in (None, 1):
+            found.setdefault(row["task"], []).append(row)
+    return found
 
 
 RESULTS_PAGE = """# Trained teams
@@ -289,7 +330,7 @@ def one(place: Path, make_page: Callable[[], str]) -> Callable[[], dict[Path, st
 PAGES: dict[str, Callable[[], Mapping[Path, str | bytes]]] = {
     "measure": one(REFERENCES, measure),
     "experts": one(Path("docs/experts.md"), lambda: experts(read_references())),
-    "speed": one(Path("docs/speed.md"), lambda: speed(Path("results/bench"))),
+    "speed": one(Path("docs/speed.md"), lambda: speed(Path("results/bench"), Path("docs/images"))),
     "results": one(Path("docs/results.md"), lambda: results(Path("results"), Path("docs/images"))),
     "notebook": one(notebook.NOTEBOOK, lambda: notebook.notebook(notebook.PAGE.read_text())),
     "tasks": lambda: {**task_pages.pages(), **task_pages.pictures()},

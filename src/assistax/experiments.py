@@ -9,25 +9,29 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 from assistax.errors import UsageError
 from assistax.executors.jobs import Job, is_worker
 from assistax.executors.jobs import work as carry_out
-from assistax.files import write_atomically, write_json
+from assistax.files import write_atomically
+from assistax.human import DISABILITIES
 from assistax.training.presets import TASKS
 
 ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
 STEPS = {"default": 10_000_000, "paper": 40_000_000}  # of PPO by preset; ours take half an hour
 SAC_STEPS = {"default": 3_000_000, "paper": 6_000_000}
+STILL = "-still"  # the robot learns beside a person who does nothing: what is the person's help worth?
 PEOPLE: dict[str, dict[str, Any]] = {  # by suffix of the experiment's name
     "": {},
+    STILL: {},
     "-preferences": {"env.human.preference": "sweep"},
-    "-tremor+weakness": {"env.human.disability": "tremor+weakness"},
+    **{f"-{name}": {"env.human.disability": name} for name in DISABILITIES},
 }
 WORKERS = "workers"  # folder of their claims and logs, where the work is done
 KEPT = ("config.json", "evaluations.jsonl", "summary.json", "learning_curve.png")  # of a finished run
@@ -60,11 +64,14 @@ class Training:
     people: str  # key of PEOPLE
     seed: int
     steps: int
+    version: int  # of the task
     shows: ClassVar[str] = "learning curves"
 
     @property
     def name(self) -> str:
-        return f"{self.task}-{self.algorithm}-{self.preset}{self.people}-{self.steps // 1_000_000}M-{self.seed}"
+        folder = f"version{self.version}/" if self.version else ""
+        who = f"{self.algorithm}-{self.preset}{self.people}"
+        return f"{folder}{self.task}-{who}-{self.steps // 1_000_000}M-{self.seed}"
 
     def progress(self, work: Path) -> float:
         saved = [int(path.stem.split("_")[1]) for path in (work / "checkpoints").glob("step_*.safetensors")]
@@ -79,38 +86,14 @@ class Training:
             run = Run.open(work)
         else:
             algorithm, _, memory = self.algorithm.partition("-")
-            choices = {"algorithm": algorithm, "recurrent": bool(memory), "preset": self.preset}
+            choices: dict[str, Any] = {"algorithm": algorithm, "recurrent": bool(memory), "preset": self.preset}
+            choices |= {"partners": ("human=still",)} if self.people == STILL else {}
             settings = PEOPLE[self.people] | {"evaluations": max(20, self.steps // 1_000_000)}
-            run = Run.create(configure(f"{self.task}-v0", settings, steps=self.steps, seed=self.seed, **choices), work)
+            task = f"{self.task}-v{self.version}"
+            run = Run.create(configure(task, settings, steps=self.steps, seed=self.seed, **choices), work)
         if train(run, seconds) is None:
             return None
         return [work / name for name in KEPT]
-
-
-@dataclass(frozen=True)
-class Timing:
-    """The speed of one task on this machine."""
-
-    task: str
-    shows: ClassVar[str] = "timing table"
-
-    @property
-    def name(self) -> str:
-        return f"bench/{self.task}.json"
-
-    def progress(self, work: Path) -> float:
-        return 0.0
-
-    def advance(self, work: Path, seconds: float) -> Path:
-        from assistax.diagnostics.bench import bench, bench_training
-        from assistax.env import make
-
-        env = make(f"{self.task}-v0")
-        report = bench(env, 1024) | bench_training(env, 1024)
-        work.mkdir(parents=True, exist_ok=True)
-        path = work / f"{self.task}.json"
-        write_json(path, report)
-        return path
 
 
 @dataclass(frozen=True)
@@ -146,28 +129,50 @@ class Sweeping:
         return [work / name for name in ("sweep.json", "ranking.json")] + sorted(work.glob("*.png"))
 
 
-def _trainings(algorithm: str, preset: str, people: str, seed: int, steps: int | None = None) -> Iterator[Experiment]:
-    """On every task; with the usual number of steps, unless given."""
+def _trainings(
+    algorithm: str,
+    preset: str,
+    people: str,
+    seeds: int,
+    steps: int | None = None,
+    version: int = 1,
+    tasks: Sequence[str] = TASKS,
+) -> Iterator[Experiment]:
+    """Seed after seed; with the usual number of steps, unless given."""
     steps = steps or (SAC_STEPS if algorithm == "masac" else STEPS)[preset]
-    return (Training(task, algorithm, preset, people, seed, steps) for task in TASKS)
-
-
-def experiments(seeds: int = 1) -> Iterator[Experiment]:
-    """All of them, what matters most first; the paper has 16 seeds."""
-    yield from (Timing(task) for task in TASKS)
     for seed in range(seeds):
-        for algorithm in ALGORITHMS:
-            for preset in STEPS:
-                yield from _trainings(algorithm, preset, "", seed)
-            if algorithm == "ippo":  # do the default's ten million hold?
-                yield from _trainings(algorithm, "default", "", seed, STEPS["paper"])
-        if seed == 0:
-            yield Sweeping("scratch", "ippo")
-        for people in list(PEOPLE)[1:]:
-            yield from _trainings("ippo", "default", people, seed)
-        for algorithm in ALGORITHMS[1:]:
-            for preset in STEPS:
-                yield from _trainings(algorithm, preset, "-preferences", seed)
+        yield from (Training(task, algorithm, preset, people, seed, steps, version) for task in tasks)
+
+
+def experiments(seeds: int | None = None) -> Iterator[Experiment]:
+    """All of them, what matters most first; `seeds` of each training, or as many as are planned of it."""
+    some = ("scratch", "arm_assist", "feeding")
+    yield from _trainings("ippo", "default", "", seeds or 5)
+    yield from _trainings("ippo", "default", "-preferences", seeds or 3)
+    yield from _trainings("ippo", "default", STILL, seeds or 3)
+    yield from _trainings("mappo", "default", "", seeds or 3)
+    for name in DISABILITIES:
+        yield from _trainings("ippo", "default", f"-{name}", seeds or 1, tasks=some[1:])
+    for algorithm in ("ippo-rnn", "mappo-rnn"):
+        yield from _trainings(algorithm, "default", "", seeds or 2, tasks=some)
+    yield from _trainings("masac", "default", "", seeds or 3, tasks=some)
+    yield from _of_the_paper(seeds or 1)
+
+
+def _of_the_paper(seeds: int) -> Iterator[Experiment]:
+    """Version 0 of the tasks, for comparison with the paper's results."""
+    paper = partial(_trainings, version=0, seeds=seeds)
+    for algorithm in ALGORITHMS:
+        for preset in STEPS:
+            yield from paper(algorithm, preset, "")
+        if algorithm == "ippo":  # do the default's ten million hold?
+            yield from paper(algorithm, "default", "", steps=STEPS["paper"])
+    yield Sweeping("scratch", "ippo")
+    for people in ("-preferences", "-tremor+weakness"):
+        yield from paper("ippo", "default", people)
+    for algorithm in ALGORITHMS[1:]:
+        for preset in STEPS:
+            yield from paper(algorithm, preset, "-preferences")
 
 
 def status(chosen: list[Experiment], results: Path, work: Path) -> list[tuple[Experiment, float]]:
@@ -226,7 +231,7 @@ def publish(kept: Path | list[Path], place: Path) -> None:
     os.replace(part, place)
 
 
-def choose_experiments(pattern: str | None, seeds: int) -> list[Experiment]:
+def choose_experiments(pattern: str | None, seeds: int | None) -> list[Experiment]:
     """Those whose name fits a pattern with * and ?; a part of a name will do."""
     every = list(experiments(seeds))
     if pattern is None:

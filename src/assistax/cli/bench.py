@@ -1,32 +1,67 @@
 """`assistax bench`."""
 
-from assistax.cli.common import Count, Json, Switch, Task, print_json, print_table
+import math
+from typing import Annotated
+
+import tyro
+from tyro.conf import arg
+
+from assistax.cli.common import Count, File, Json, Name, Switch, duration, print_json, print_table
+from assistax.errors import UsageError
 
 
 def bench(
-    task: Task,
+    task: Annotated[str | None, tyro.conf.Positional, arg(metavar="[TASK]", help_behavior_hint="")] = None,
     *,
+    all: Switch = False,
     engine: str = "auto",
-    num_envs: Count = 1024,
+    num_envs: Annotated[tuple[Count, ...], arg(metavar="N ...", help_behavior_hint="")] = (),
     seconds: float = 10.0,
     train: Switch = False,
+    preset: str = "default",
+    budget: Name = None,
+    out: File = None,
     json: Json = False,
 ) -> None:
-    """Measure speed on this machine: the environment beside its bare physics engine.
+    """Measure speed on this machine: the environment beside its bare physics engine, and training.
+
+    For example:
+      assistax bench scratch
+      assistax bench scratch --num-envs 1 64 1024 --train
+      assistax bench --all --budget 8m --out results/bench/laptop.json
 
     Args:
       task: `assistax tasks` lists them.
+      all: every task, open loop and in training, at the sizes that tell most on this machine, in order of worth.
       engine: auto, mujoco, warp or mjx.
-      num_envs: environments side by side.
-      seconds: how long to measure, after compilation.
-      train: also time IPPO training with the paper's preset.
+      num_envs: environments side by side, one or more numbers. Without it 1024; with --all several, and in training
+        those of the preset.
+      seconds: how long to measure each, after compilation.
+      train: also time IPPO training.
+      preset: of the training, default or paper.
+      budget: begin nothing new after 90s, 8m or 1h.
+      out: a JSON file for what is measured, with a figure beside it; a later call makes what it lacks.
       json: print JSON.
     """
-    from assistax.diagnostics.bench import bench, bench_training
-    from assistax.env import make
+    from assistax.diagnostics.bench import check_seconds
+    from assistax.diagnostics.measurements import check_out, measure, newest_tasks, plan
+    from assistax.tasks import task_spec
 
-    env = make(task, engine)
-    report = bench(env, num_envs, seconds)
-    if train:
-        report |= bench_training(env, num_envs, seconds)
-    print_json(report) if json else print_table(report)
+    if (task is None) != all:
+        raise UsageError("Name a task, or all of them with --all, not both.")
+    check_seconds(seconds)
+    limit = math.inf if budget is None else duration(budget)
+    check_out(out)
+    tasks = newest_tasks() if task is None else [task_spec(task).id]
+    wanted = plan(tasks, engine, num_envs if all or num_envs else (1024,), train or all, preset)
+    several = len(wanted) > 1 and not json
+    report = measure(wanted, out, seconds, limit, say=print if several else lambda line: None)
+    if out is not None:
+        from assistax.diagnostics.figure import speeds
+        from assistax.results.figures import save
+
+        save(speeds(report), out.with_suffix(".png"))
+    if json:
+        print_json(report)
+    elif not several:
+        print_table(report["rows"][0] | {name: x for name, x in report.items() if name != "rows"})

@@ -1,6 +1,7 @@
 """What commands share: how arguments are written, who plays, how reports are printed."""
 
 import json
+import re
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -110,6 +111,14 @@ def find_executor(processes: int | None, executor: str | None, assignments: tupl
     using = find(executor or "local", parse_assignments(assignments, "--executor-set"))
     using.room(processes, processes or 1)
     return using
+
+
+def duration(text: str) -> float:
+    """Seconds of "90s", "9m" or "1.5h"."""
+    match = re.fullmatch(r"(\d+(?:\.\d+)?)([smh])", text)
+    if not match or not float(match[1]):
+        raise UsageError(f"A budget is a time like 90s, 9m or 1.5h, not {text!r}.")
+    return float(match[1]) * {"s": 1, "m": 60, "h": 3600}[match[2]]
 
 
 def print_json(report: Any) -> None:

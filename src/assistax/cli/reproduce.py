@@ -1,10 +1,9 @@
 """`assistax reproduce`."""
 
-import re
 import sys
 from pathlib import Path
 
-from assistax.cli.common import Count, ExecutorSet, Name, Number, find_executor
+from assistax.cli.common import ExecutorSet, Name, Number, duration, find_executor
 from assistax.errors import UsageError
 
 
@@ -12,7 +11,7 @@ def reproduce(
     *,
     budget: Name = None,
     only: Name = None,
-    seeds: Count = 1,
+    seeds: Number = None,
     processes: Number = None,
     executor: Name = None,
     executor_set: ExecutorSet = (),
@@ -24,12 +23,12 @@ def reproduce(
     For example:
       assistax reproduce
       assistax reproduce --only scratch-ippo
-      assistax reproduce --budget 9m --only "scratch-*-paper-40M-?"
+      assistax reproduce --budget 9m --only "version1/*-ippo-default-10M-?"
 
     Args:
       budget: how long to work: 90s, 9m or 1.5h. What is missing is done in the order of the list.
       only: experiments whose name contains this; * and ? stand for anything.
-      seeds: seeds of each training (the paper has 16).
+      seeds: of each training, instead of the one to five that the list has of it (the paper has 16).
       processes: do all that is missing, in so many processes side by side; instead of a budget. Choose trainings with
         --only: timings want a machine for themselves.
       executor: local, slurm or ray, as in `assistax population train`.
@@ -41,7 +40,7 @@ def reproduce(
     from assistax.training.clock import progress_bar
 
     results, work = Path("results"), Path("runs/reproduce")
-    if seeds < 1:
+    if seeds is not None and seeds < 1:
         raise UsageError(f"seeds must be 1 or more, not {seeds}.")
     seconds = None if budget is None else duration(budget)
     chosen = choose_experiments(only, seeds)
@@ -49,7 +48,8 @@ def reproduce(
     if using is not None:
         if seconds is not None:
             raise UsageError("An executor does all that is missing; leave out --budget.")
-        command = [sys.executable, "-m", "assistax", "reproduce", "--budget", "100000h", "--seeds", str(seeds)]
+        command = [sys.executable, "-m", "assistax", "reproduce", "--budget", "100000h"]
+        command += [] if seeds is None else ["--seeds", str(seeds)]
         command += ["--only", only] if only else []
         missing = [job for job in jobs(chosen, results, work) if not job.finished]
         with writing(results):
@@ -72,11 +72,3 @@ def reproduce(
         return
     left = sum(fraction < 1.0 for _, fraction in status(chosen, results, work))
     print(f"finished {len(finished)}, {left} left")
-
-
-def duration(text: str) -> float:
-    """Seconds of "90s", "9m" or "1.5h"."""
-    match = re.fullmatch(r"(\d+(?:\.\d+)?)([smh])", text)
-    if not match or not float(match[1]):
-        raise UsageError(f"A budget is a time like 90s, 9m or 1.5h, not {text!r}.")
-    return float(match[1]) * {"s": 1, "m": 60, "h": 3600}[match[2]]

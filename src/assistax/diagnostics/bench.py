@@ -146,17 +146,27 @@ def check_seconds(seconds: float) -> None:
         raise UsageError(f"seconds must be above 0, not {seconds}.")
 
 
-def bench_training(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
-    """IPPO with the paper's preset, everything included; rates are medians over iterations."""
-    from assistax.learning.ppo import PPO, PPOConfig
-    from assistax.training.presets import preset
+def bench_training(
+    task: str, engine: str, num_envs: int | None, seconds: float = 10.0, preset: str = "default", num_seeds: int = 1
+) -> dict[str, Any]:
+    """IPPO as `assistax train` runs it, without evaluations; rates are medians over iterations.
 
-    config = PPOConfig(**preset("paper", "ippo", env.name))
-    trainer = PPO(env, config, num_envs, 1000)
+    Args:
+      num_envs: per seed; None: the preset's.
+      num_seeds: trained side by side on an accelerator, in turns on a CPU.
+
+    Returns a dict ready for JSON; "rollout_steps_per_s" is of environments and policies, without the updates.
+    """
+    from assistax.training.configuration import configure
+    from assistax.training.seeds import Seeds
+
+    check_seconds(seconds)
+    config = configure(task, {}, engine=engine, preset=preset, num_envs=num_envs, num_seeds=num_seeds)
+    env = Env(config.task, config.engine, config.env, config.task_config)
+    trainer, seeds = config.trainer(env, {}), Seeds(config.seeds)
+    collect, improve = seeds.jit(trainer.collect), seeds.jit(trainer.improve)
     began = time.perf_counter()
-    state = jax.jit(trainer.init)(jax.random.key(0))
-    collect, improve = jax.jit(trainer.collect), jax.jit(trainer.improve)
-    state, _ = jax.block_until_ready(improve(*collect(state)))
+    state, _ = jax.block_until_ready(improve(*collect(seeds.init(trainer.init))))
     first_s = time.perf_counter() - began
     times, deadline = [], time.perf_counter() + seconds
     while time.perf_counter() < deadline or len(times) < 3:
@@ -166,10 +176,19 @@ def bench_training(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, 
         state, _ = jax.block_until_ready(improve(state, batch))
         times.append(np.diff([*marks, time.perf_counter()]))
     collect_s, improve_s = np.median(times, 0)
+    steps = trainer.steps_per_iteration * num_seeds
     return {
-        "training_steps_per_s": round(num_envs * config.num_steps / float(np.median(np.sum(times, 1)))),
-        "training_collect_s": round(float(collect_s), 3),
-        "training_update_s": round(float(improve_s), 3),
-        "training_first_update_s": round(first_s, 1),
+        "task": env.name,
+        "engine": env.engine.name,
+        "preset": preset,
+        "num_envs": config.num_envs,
+        "num_seeds": num_seeds,
+        "training_steps_per_s": round(steps / float(np.median(np.sum(times, 1)))),
+        "rollout_steps_per_s": round(steps / float(collect_s)),
+        "collect_s": round(float(collect_s), 3),
+        "update_s": round(float(improve_s), 3),
+        "first_update_s": round(first_s, 1),
         "peak_memory_mb": round(peak_memory_mb()),
+        "rounds": len(times),
+        **stamp(),
     }

@@ -1,0 +1,112 @@
+"""What is measured, in which order, and that a later call goes on."""
+
+import json
+
+import pytest
+
+from assistax.cli.bench import bench
+from assistax.diagnostics import measurements
+from assistax.diagnostics.bench import bench_training
+from assistax.diagnostics.measurements import MANY_SEEDS, Measurement, measure, newest_tasks, plan
+from assistax.errors import UsageError
+
+
+def test_every_task_once_before_any_other_size():
+    tasks = newest_tasks()
+    assert tasks[:2] == ["scratch-v1", "bed_bath-v1"] and len(set(tasks)) == len(tasks) >= 5
+    wanted = plan(tasks, "auto", (), True, "default")
+    assert wanted[: len(tasks)] == [Measurement(task, "mujoco", 1024) for task in tasks]
+    assert wanted[len(tasks) : 2 * len(tasks)] == [Measurement(t, "mujoco", None, "default", 1) for t in tasks]
+    assert len(set(wanted)) == len(wanted) and {one.num_envs for one in wanted} == {1024, 256, 64, 16, 1, None}
+    assert plan(["feeding-v1"], "auto", (8,), True, "paper") == [
+        Measurement("feeding-v1", "mujoco", 8),
+        Measurement("feeding-v1", "mujoco", 8, "paper", 1),
+    ]
+
+
+def test_an_accelerator_trains_at_every_size_and_many_seeds(monkeypatch):
+    monkeypatch.setattr(measurements.jax, "default_backend", lambda: "gpu")
+    wanted = plan(["feeding-v1"], "warp", (), True, "default")
+    assert {one.num_envs for one in wanted if one.preset} == {*measurements.ACCELERATOR_SIZES, None}
+    assert Measurement("feeding-v1", "warp", None, "default", MANY_SEEDS) in wanted
+
+
+def counted(monkeypatch):
+    made = []
+
+    def measured(self, seconds):
+        made.append(self)
+        rate = {"training_steps_per_s" if self.preset else "env_steps_per_s": 1000}
+        of = {"task": self.task, "engine": self.engine, "preset": self.preset}
+        return {"of": of | {"num_envs": self.num_envs, "num_seeds": self.num_seeds}, **of, "num_envs": 4} | rate
+
+    monkeypatch.setattr(Measurement, "measure", measured)
+    return made
+
+
+def test_a_later_call_makes_what_is_missing(tmp_path, monkeypatch, capsys):
+    made, out = counted(monkeypatch), tmp_path / "here.json"
+    bench(all=True, budget="1s", seconds=1.0, out=out)
+    first = len(made)
+    everything = plan(newest_tasks(), "auto", (), True, "default")
+    assert first == len(everything)  # none of these took any time
+    bench(all=True, seconds=1.0, out=out)
+    assert len(made) == first and out.with_suffix(".png").exists()
+    assert [row["of"]["task"] for row in json.loads(out.read_text())["rows"]] == [one.task for one in everything]
+    assert "1,000 steps/s" in capsys.readouterr().out
+
+
+def test_nothing_begins_after_the_budget_but_the_first(tmp_path, monkeypatch):
+    made, said = counted(monkeypatch), []
+    wanted = plan(["feeding-v1"], "auto", (4, 2, 1), False, "default")
+    path = tmp_path / "here.json"
+    measure(wanted, path, 1.0, -1.0, said.append)
+    assert made == wanted[:1] and said[-1] == "2 of 3 are left for another call."
+    measure(wanted, path, 1.0, -1.0, said.append)
+    assert made == wanted[:2]
+
+
+def test_files_of_other_code_are_not_gone_on_with(tmp_path, monkeypatch):
+    counted(monkeypatch)
+    path = tmp_path / "here.json"
+    wanted = plan(["feeding-v1"], "auto", (4,), False, "default")
+    report = measure(wanted, path, 1.0, 60.0)
+    path.write_text(json.dumps(report | {"hardware": "an abacus"}))
+    with pytest.raises(UsageError, match="measured with other hardware; give another --out"):
+        measure(wanted, path, 1.0, 60.0)
+    path.write_text('{"rows": 3}')
+    with pytest.raises(UsageError, match="Cannot read"):
+        measure(wanted, path, 1.0, 60.0)
+
+
+@pytest.mark.parametrize(
+    "asked, words",
+    [
+        ({}, "Name a task, or all of them with --all"),
+        ({"task": "feeding", "all": True}, "Name a task, or all of them with --all"),
+        ({"task": "feeding", "budget": "9"}, "A budget is a time like 90s"),
+        ({"task": "feeding", "seconds": 0.0}, "seconds must be above 0"),
+        ({"task": "fencing"}, "fencing"),
+        ({"task": "feeding", "engine": "steam"}, "engine"),
+        ({"task": "feeding", "num_envs": (0,)}, "num_envs must be 1 or more"),
+        ({"task": "feeding", "train": True, "preset": "best"}, "preset"),
+    ],
+)
+def test_malformed_calls_are_one_line(asked, words):
+    with pytest.raises(UsageError, match=words) as error:
+        bench(**asked)
+    assert "\n" not in str(error.value)
+
+
+def test_out_is_a_json_file_in_a_folder(tmp_path):
+    for name, words in {"here.txt": "must end in .json", "none/here.json": "does not exist"}.items():
+        with pytest.raises(UsageError, match=words):
+            bench("feeding", out=tmp_path / name)
+
+
+def test_training_is_timed_with_its_seeds():
+    report = bench_training("scratch", "auto", 4, 0.01, num_seeds=2)
+    assert report["task"] == "scratch-v1" and report["num_envs"] == 4 and report["rounds"] >= 3
+    seconds = report["collect_s"] + report["update_s"]
+    assert report["training_steps_per_s"] == pytest.approx(2 * 4 * 64 / seconds, rel=0.5)
+    assert report["rollout_steps_per_s"] > report["training_steps_per_s"]
