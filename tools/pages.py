@@ -187,15 +187,15 @@ def experts(records: list[dict[str, Any]]) -> str:
 SPEED_PAGE = """# Speed
 
 Everything is included: observations, rewards, auto-reset and, open loop, random actions. "Of the bare engine" is the
-rate over that of physics alone, same scene and states, in alternating rounds. A training is of IPPO, rollouts and updates
-without evaluations; rollouts are environments and policies. Written from `results/bench/*.json`, which
+rate over that of physics alone, same scene and states, in alternating rounds. A training is of IPPO, rollouts and
+updates without evaluations; rollouts are environments and policies. Written from `results/bench/*.json`, which
 `assistax bench --all --out FILE` makes, by `python tools/pages.py speed`.
 
 {machines}
 
-Beside Assistive Gym on two cores (two processes, Panda and acting human, resets not counted), and the paper's figures for
-its own implementation on an A100 with 1024 environments. An environment step is 8 ms of 4 physics steps here and 0.1 s of
-5 there, so that there are three ratios:
+Beside Assistive Gym on two cores (two processes, Panda and acting human, resets not counted), and the paper's figures
+for its own implementation on an A100 with 1024 environments. An environment step is 8 ms of 4 physics steps here and
+0.1 s of 5 there, so that there are three ratios:
 
 {others}
 

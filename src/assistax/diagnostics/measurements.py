@@ -62,8 +62,8 @@ def plan(tasks: Sequence[str], engine: str, sizes: Sequence[int], train: bool, p
     """In order of worth: every task at the first size, open loop and in training, before all other sizes.
 
     Args:
-      sizes: numbers of environments, 1 or more each; (): those that tell most on this machine. Trainings then have their
-        preset's on a CPU, and on an accelerator one task is trained with many seeds side by side, too.
+      sizes: numbers of environments, 1 or more each; (): those that tell most on this machine. Trainings then have
+        their preset's on a CPU, and on an accelerator one task is trained with many seeds side by side, too.
 
     Raises:
       UsageError: there is no such engine or preset, or a size is below 1.
