@@ -20,7 +20,7 @@ from assistax.policies import Player, scripted_policy
 from assistax.teamwork.adaptation import Series, about, probe, slope, summarize_series
 from assistax.teamwork.adhoc import Meeting, Scale, gap, summarize
 from assistax.teamwork.report import picture, report
-from assistax.teamwork.validity import with_robots
+from assistax.teamwork.validity import judge, with_robots
 from assistax.training import splits
 from assistax.training.configuration import configure
 from assistax.training.population import Population
@@ -190,8 +190,39 @@ def test_cross_play_is_of_members_with_robots_as_they_are_now(population):
 @pytest.mark.slow
 def test_validity(robots):
     root, _ = robots
-    printed = assistax_command("teamwork", "validity", f"{root}/pop", "--episodes", 1, "--sample", 2).stdout
-    assert "cross-play" in printed
+    asked = ["teamwork", "validity", f"{root}/pop", "--episodes", 1, "--sample", 2, "--out", root / "validity.json"]
+    printed = assistax_command(*asked, "--robots", f"mine={root}/br").stdout
+    assert "cross-play" in printed and "best single robot, m" in printed
+    found = json.loads((root / "validity.json").read_text())
+    assert set(found["others"]) == {"still", "expert", "mine 0", "mine 1"}
+    assert len(found["others"]["mine 0"]["return"]) == 2
+    assert (root / "validity.png").exists() and found["why"] in printed
+
+
+def test_partners_matter_where_no_single_robot_serves_all():
+    """Worked by hand: three robots and people; a still robot has 10 with everybody."""
+    nothing, still = np.zeros(3), {"return": np.full(3, 10.0), "success": np.zeros(3)}
+
+    def verdict(returns, success, **others):
+        return judge(
+            {"return": np.array(returns, float), "success": np.array(success, float)}, {"still": still} | others
+        )
+
+    own = [[110, 10, 10], [10, 110, 10], [10, 10, 110]]
+    apart = verdict(own, np.eye(3))
+    assert apart["valid"] and apart["lost"] == {"return": 1.0, "success": 1.0}
+    assert apart["best_single"]["success"]["mean"] == pytest.approx(1 / 3)
+    everybody = {"return": np.full(3, 105.0), "success": np.full(3, 0.95)}
+    served = verdict(own, np.eye(3), mine=everybody)
+    assert not served["valid"] and "one robot, mine, succeeds with all in 95%" in served["why"]
+    assert served["best_single"]["return"] == {"robot": "mine", "mean": 105.0}
+    assert verdict(own, np.eye(3), expert=everybody)["valid"]  # who is told everything does not compete
+    less = {"return": np.full(3, 10 + 100 / 1.11), "success": nothing}
+    assert verdict(own, np.zeros((3, 3)), mine=less)["valid"]  # 11 % more than the single robot, above still
+    alike = verdict([[110, 100, 100]] * 3, np.ones((3, 3)))
+    assert not alike["valid"] and "cross-play loses" in alike["why"] and "one robot, member 0" in alike["why"]
+    nobody = verdict(np.full((3, 3), 10), np.zeros((3, 3)))
+    assert not nobody["valid"]
 
 
 # -- several episodes in a row --------------------------------------------------------------------

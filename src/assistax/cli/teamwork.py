@@ -106,17 +106,22 @@ def validity(
     *,
     sample: Number = None,
     episodes: Count = 8,
+    robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[NAME=]RUN[,RUN] ...")] = (),
     out: File = None,
 ) -> None:
     """Ask whether partners matter in a task: what robots lose when they meet each other's people.
 
+    They matter if cross-play loses a fifth of self-play's return (above a still robot's) or success, and everybody's
+    own robot has a tenth more than the best single robot with all of them.
+
     For example:
-      assistax teamwork validity populations/scratch --sample 16
+      assistax teamwork validity populations/scratch --sample 16 --robots best-response=runs/br
 
     Args:
       population: whose robots and people meet.
       sample: so many members, drawn at random (default all).
       episodes: of each pair.
+      robots: runs whose robots may be the best single one, beside the members' own.
       out: a .json for the matrices, with a picture of the same name beside it.
     """
     from assistax.files import write_json
@@ -124,12 +129,15 @@ def validity(
     from assistax.training.population import Population
 
     _check(out)
-    found = validity_of(Population.load(population), episodes, sample)
+    found = validity_of(Population.load(population), episodes, sample, robots=_named(robots) if robots else None)
     for name in ("return", "success", "safe_success"):
         own, cross = found["self_play"][name], found["cross_play"][name]
         print(
-            f"{name.replace('_', ' '):14} self-play {own:.3g}, cross-play {cross:.3g}, lost {found['lost'][name]:.0%}"
+            f"{name.replace('_', ' '):14} self-play {own:.3g}, cross-play {cross:.3g}, lost {found['lost'][name]:.0%}; "
+            f"best single robot, {found['best_single'][name]['robot']}: {found['best_single'][name]['mean']:.3g}"
         )
+    expert = found["others"]["expert"]["success"]
+    print(f"The scripted expert, who knows all that the simulator does, succeeds in {sum(expert) / len(expert):.0%}.")
     print("Partners matter in this task." if found["valid"] else f"Not valid for ad-hoc scores: {found['why']}")
     if out is not None:
         write_json(out, found)

@@ -1,10 +1,10 @@
 """Whether partners matter in a task; where they do not, a score of ad-hoc teamwork says nothing.
 
 Every member's robot meets every member's person. In a task that needs no agreement the robots are as good with
-strangers as with whom they learned with.
+strangers as with whom they learned with, and some one robot is as good with everybody as everybody's own.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +19,22 @@ from assistax.results.figures import STYLE
 from assistax.settings import with_settings
 from assistax.stamp import stamp
 from assistax.teamwork.adhoc import Meeting
+from assistax.teamwork.report import Meetings, check_strangers
 from assistax.training.clock import progress_bar
 from assistax.training.population import Population
+from assistax.training.run import Run
 
 MEASURES = ("return", "success", "safe_success")
 LOST = 0.2  # of self-play's return above a still robot's, or of its success: what cross-play must lose at least
+GAINED = 0.1  # what everybody's own robot must have more than the best single one, of what that one has
 
 
 def validity_of(
-    population: Population, episodes: int, sample: int | None = None, seed: int = EVALUATION_SEED
+    population: Population,
+    episodes: int,
+    sample: int | None = None,
+    seed: int = EVALUATION_SEED,
+    robots: Mapping[str, Sequence[Run]] | None = None,
 ) -> dict[str, Any]:
     """Cross-play of a population.
 
@@ -36,11 +43,11 @@ def validity_of(
       episodes: of each pair.
       sample: so many members, at random; None: all.
       seed: of the draws.
+      robots: by name, runs of robots that may be the best single one, beside the members' own; any number of seeds.
 
     Returns:
-      ready for JSON: "ids"; by measure "matrix", a row for each robot and a column for each person, "self_play" and
-      "cross_play" means, and what is "lost" from one to the other, as a fraction (of the return above a still robot's);
-      "valid", and "why" not.
+      ready for JSON: "ids"; by measure "matrix", a row for each robot and a column for each person; by name of a run's
+      or a scripted robot, what it reaches with each person ("others"); and what `judge` says.
     """
     population = with_robots(population, sample, seed)
     number = len(population)
@@ -51,20 +58,15 @@ def validity_of(
             robot = population.select([one]).partner("robot", deterministic=True, by_person=False)
             found.append(meeting(robot, seed))
             bar.update(number * episodes * env.episode_length)
-    still = meeting.scripted("still", seed)["return"].mean(1)
-    matrix = {name: np.stack([one[name].mean(1) for one in found]) for name in MEASURES if name in found[0]}
-    own = np.eye(number, dtype=bool)
-    self_play = {name: float(x[own].mean()) for name, x in matrix.items()}
-    cross_play = {name: float(x[~own].mean()) for name, x in matrix.items()}
-    lost = {name: _lost(self_play[name], cross_play[name]) for name in matrix}
-    lost["return"] = _lost(self_play["return"] - still.mean(), cross_play["return"] - still.mean())
-    valid = max(lost["return"], lost["success"]) >= LOST
-    why = (
-        ""
-        if valid
-        else f"cross-play loses {lost['return']:.0%} of the return and {lost['success']:.0%} of the success, "
-        f"less than {LOST:.0%} of both: robots serve strangers as well as whom they know."
-    )
+    others = {name: meeting.scripted(name, seed) for name in ("still", "expert")}
+    for name, runs in (robots or {}).items():
+        check_strangers(runs, {"train": population})
+        meetings = Meetings(runs[0].config, population, episodes)
+        seeds = [one for run in runs for one in meetings(run, seed)]
+        others |= {f"{name} {i}" if len(seeds) > 1 else name: one for i, one in enumerate(seeds)}
+    measures = [name for name in MEASURES if name in found[0]]
+    matrix = {name: np.stack([one[name].mean(1) for one in found]) for name in measures}
+    by_person = {robot: {name: one[name].mean(1) for name in measures} for robot, one in others.items()}
     return {
         "task": population.task,
         "episodes": episodes,
@@ -72,12 +74,63 @@ def validity_of(
         "ids": list(population.ids),
         "people": [row["person"] for row in population.rows],
         "matrix": {name: np.round(x, 4).tolist() for name, x in matrix.items()},
+        "others": {
+            robot: {name: np.round(x, 4).tolist() for name, x in one.items()} for robot, one in by_person.items()
+        },
+        **judge(matrix, by_person),
+        **stamp(),
+    }
+
+
+def judge(matrix: Mapping[str, np.ndarray], others: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, Any]:
+    """Whether partners matter.
+
+    Args:
+      matrix: by measure [robots, people], who belong together on the diagonal; returns and success at least.
+      others: by robot and measure [people], "still" among them; "expert", who is told all that the simulator knows, is
+        no competitor.
+
+    Returns:
+      by measure the means of "self_play" and "cross_play", what is "lost" from one to the other, and what one robot
+      reaches on average that is the "best_single" one by this measure; returns are above the still robot's in "lost"
+      and in comparisons. "valid" if LOST and GAINED hold, each in return or in success; "why" not.
+    """
+    own = np.eye(len(matrix["return"]), dtype=bool)
+    self_play = {name: float(x[own].mean()) for name, x in matrix.items()}
+    cross_play = {name: float(x[~own].mean()) for name, x in matrix.items()}
+    still = others["still"]["return"].mean()
+    zero = {name: float(still) if name == "return" else 0.0 for name in matrix}
+    lost = {name: _lost(self_play[name] - zero[name], cross_play[name] - zero[name]) for name in matrix}
+    robots: dict[str, Mapping[str, np.ndarray]] = {
+        f"member {i}": {name: x[i] for name, x in matrix.items()} for i in range(len(own))
+    }
+    robots |= {name: one for name, one in others.items() if name not in ("still", "expert")}
+    best: dict[str, dict[str, Any]] = {}
+    for measure in matrix:
+        name = max(robots, key=lambda robot, measure=measure: robots[robot][measure].mean())
+        best[measure] = {"robot": name, "mean": float(robots[name][measure].mean())}
+    judged = ("return", "success")
+    why = []
+    if max(lost[name] for name in judged) < LOST:
+        why.append(
+            f"cross-play loses {lost['return']:.0%} of the return and {lost['success']:.0%} of the success, "
+            f"less than {LOST:.0%} of both: robots serve strangers as well as whom they know"
+        )
+    needed = {name: (1 + GAINED) * (best[name]["mean"] - zero[name]) + zero[name] for name in judged}
+    if not any(self_play[name] > 0 and self_play[name] >= needed[name] for name in judged):
+        one = best["success"]
+        why.append(
+            f"one robot, {one['robot']}, succeeds with all in {one['mean']:.0%}, which is not {GAINED:.0%} less than "
+            f"the {self_play['success']:.0%} of everybody's own: who one's partner is need not be known"
+        )
+    return {
         "self_play": self_play,
         "cross_play": cross_play,
         "lost": lost,
-        "valid": bool(valid),
-        "why": why,
-    } | stamp()
+        "best_single": best,
+        "valid": not why,
+        "why": "; ".join(why),
+    }
 
 
 def with_robots(population: Population, sample: int | None = None, seed: int = EVALUATION_SEED) -> Population:
