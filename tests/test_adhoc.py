@@ -191,10 +191,10 @@ def test_cross_play_is_of_members_with_robots_as_they_are_now(population):
 def test_validity(robots):
     root, _ = robots
     asked = ["teamwork", "validity", f"{root}/pop", "--episodes", 1, "--sample", 2, "--out", root / "validity.json"]
-    printed = assistax_command(*asked, "--robots", f"mine={root}/br").stdout
+    printed = assistax_command(*asked, "--robots", f"mine={root}/br", "--oracles", f"told={root}/oracle").stdout
     assert "cross-play" in printed and "best single robot, m" in printed
     found = json.loads((root / "validity.json").read_text())
-    assert set(found["others"]) == {"still", "expert", "mine 0", "mine 1"}
+    assert set(found["others"]) == {"still", "expert", "mine 0", "mine 1", "told 0", "told 1"}
     assert len(found["others"]["mine 0"]["return"]) == 2
     assert (root / "validity.png").exists() and found["why"] in printed
 
@@ -203,10 +203,9 @@ def test_partners_matter_where_no_single_robot_serves_all():
     """Worked by hand: three robots and people; a still robot has 10 with everybody."""
     nothing, still = np.zeros(3), {"return": np.full(3, 10.0), "success": np.zeros(3)}
 
-    def verdict(returns, success, **others):
-        return judge(
-            {"return": np.array(returns, float), "success": np.array(success, float)}, {"still": still} | others
-        )
+    def verdict(returns, success, oracles=(), **others):
+        matrix = {"return": np.array(returns, float), "success": np.array(success, float)}
+        return judge(matrix, {"still": still} | others, oracles)
 
     own = [[110, 10, 10], [10, 110, 10], [10, 10, 110]]
     apart = verdict(own, np.eye(3))
@@ -214,11 +213,17 @@ def test_partners_matter_where_no_single_robot_serves_all():
     assert apart["best_single"]["success"]["mean"] == pytest.approx(1 / 3)
     everybody = {"return": np.full(3, 105.0), "success": np.full(3, 0.95)}
     served = verdict(own, np.eye(3), mine=everybody)
-    assert not served["valid"] and "one robot, mine, succeeds with all in 95%" in served["why"]
+    assert not served["valid"] and "one robot, mine, succeeds with all in 95%, and who knows" in served["why"]
     assert served["best_single"]["return"] == {"robot": "mine", "mean": 105.0}
     assert verdict(own, np.eye(3), expert=everybody)["valid"]  # who is told everything does not compete
     less = {"return": np.full(3, 10 + 100 / 1.11), "success": nothing}
     assert verdict(own, np.zeros((3, 3)), mine=less)["valid"]  # 11 % more than the single robot, above still
+    told = {"return": np.full(3, 110.0), "success": np.ones(3)}
+    failing = {"return": np.full(3, 10.0), "success": np.full(3, 0.8)}
+    half = np.diag([1.0, 1.0, 0.0])  # whose own robot fails with one person
+    poor = np.full((3, 3), 10.0)
+    assert not verdict(poor, half, mine=failing)["valid"]
+    assert verdict(poor, half, ("told",), mine=failing, told=told)["valid"]
     alike = verdict([[110, 100, 100]] * 3, np.ones((3, 3)))
     assert not alike["valid"] and "cross-play loses" in alike["why"] and "one robot, member 0" in alike["why"]
     nobody = verdict(np.full((3, 3), 10), np.zeros((3, 3)))

@@ -8,6 +8,7 @@ import tyro
 from assistax.cli.common import Count, File, Number, aligned
 from assistax.errors import UsageError, choose
 
+Robots = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[NAME=]RUN[,RUN] ...")]
 Methods = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME=]RUN[,RUN] ...")]
 
 
@@ -106,13 +107,14 @@ def validity(
     *,
     sample: Number = None,
     episodes: Count = 8,
-    robots: Annotated[tuple[str, ...], tyro.conf.arg(metavar="[NAME=]RUN[,RUN] ...")] = (),
+    robots: Robots = (),
+    oracles: Robots = (),
     out: File = None,
 ) -> None:
     """Ask whether partners matter in a task: what robots lose when they meet each other's people.
 
     They matter if cross-play loses a fifth of self-play's return (above a still robot's) or success, and everybody's
-    own robot has a tenth more than the best single robot with all of them.
+    own robot, or an oracle, has a tenth more than the best single robot with all of them.
 
     For example:
       assistax teamwork validity populations/scratch --sample 16 --robots best-response=runs/br
@@ -122,6 +124,7 @@ def validity(
       sample: so many members, drawn at random (default all).
       episodes: of each pair.
       robots: runs whose robots may be the best single one, beside the members' own.
+      oracles: runs whose robots are told who the person is.
       out: a .json for the matrices, with a picture of the same name beside it.
     """
     from assistax.files import write_json
@@ -129,12 +132,14 @@ def validity(
     from assistax.training.population import Population
 
     _check(out)
-    found = validity_of(Population.load(population), episodes, sample, robots=_named(robots) if robots else None)
+    known, told = (_named(texts) if texts else {} for texts in (robots, oracles))
+    found = validity_of(Population.load(population), episodes, sample, robots=known, oracles=told)
     for name in ("return", "success", "safe_success"):
         own, cross = found["self_play"][name], found["cross_play"][name]
         print(
             f"{name.replace('_', ' '):14} self-play {own:.3g}, cross-play {cross:.3g}, lost {found['lost'][name]:.0%}; "
-            f"best single robot, {found['best_single'][name]['robot']}: {found['best_single'][name]['mean']:.3g}"
+            f"best single robot, {found['best_single'][name]['robot']}: {found['best_single'][name]['mean']:.3g}; "
+            f"who knows the partner, {found['best_knowing'][name]['robot']}: {found['best_knowing'][name]['mean']:.3g}"
         )
     expert = found["others"]["expert"]["success"]
     print(f"The scripted expert, who knows all that the simulator does, succeeds in {sum(expert) / len(expert):.0%}.")

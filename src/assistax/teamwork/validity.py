@@ -35,6 +35,7 @@ def validity_of(
     sample: int | None = None,
     seed: int = EVALUATION_SEED,
     robots: Mapping[str, Sequence[Run]] | None = None,
+    oracles: Mapping[str, Sequence[Run]] | None = None,
 ) -> dict[str, Any]:
     """Cross-play of a population.
 
@@ -44,6 +45,8 @@ def validity_of(
       sample: so many members, at random; None: all.
       seed: of the draws.
       robots: by name, runs of robots that may be the best single one, beside the members' own; any number of seeds.
+      oracles: by name, runs of robots that are told who the person is; the best of them, or everybody's own robot, is
+        what the best single one is compared with.
 
     Returns:
       ready for JSON: "ids"; by measure "matrix", a row for each robot and a column for each person; by name of a run's
@@ -59,11 +62,9 @@ def validity_of(
             found.append(meeting(robot, seed))
             bar.update(number * episodes * env.episode_length)
     others = {name: meeting.scripted(name, seed) for name in ("still", "expert")}
-    for name, runs in (robots or {}).items():
-        check_strangers(runs, {"train": population})
-        meetings = Meetings(runs[0].config, population, episodes)
-        seeds = [one for run in runs for one in meetings(run, seed)]
-        others |= {f"{name} {i}" if len(seeds) > 1 else name: one for i, one in enumerate(seeds)}
+    others |= _by_seed(robots or {}, population, episodes, seed)
+    told = _by_seed(oracles or {}, population, episodes, seed)
+    others |= told
     measures = [name for name in MEASURES if name in found[0]]
     matrix = {name: np.stack([one[name].mean(1) for one in found]) for name in measures}
     by_person = {robot: {name: one[name].mean(1) for name in measures} for robot, one in others.items()}
@@ -77,23 +78,40 @@ def validity_of(
         "others": {
             robot: {name: np.round(x, 4).tolist() for name, x in one.items()} for robot, one in by_person.items()
         },
-        **judge(matrix, by_person),
+        **judge(matrix, by_person, tuple(told)),
         **stamp(),
     }
 
 
-def judge(matrix: Mapping[str, np.ndarray], others: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, Any]:
+def _by_seed(
+    robots: Mapping[str, Sequence[Run]], population: Population, episodes: int, seed: int
+) -> dict[str, dict[str, np.ndarray]]:
+    """What the robots of these runs reach, see Meeting, by name and number of the seed."""
+    found = {}
+    for name, runs in robots.items():
+        check_strangers(runs, {"train": population})
+        meetings = Meetings(runs[0].config, population, episodes)
+        seeds = [one for run in runs for one in meetings(run, seed)]
+        found |= {f"{name} {i}" if len(seeds) > 1 else name: one for i, one in enumerate(seeds)}
+    return found
+
+
+def judge(
+    matrix: Mapping[str, np.ndarray], others: Mapping[str, Mapping[str, np.ndarray]], oracles: Sequence[str] = ()
+) -> dict[str, Any]:
     """Whether partners matter.
 
     Args:
       matrix: by measure [robots, people], who belong together on the diagonal; returns and success at least.
       others: by robot and measure [people], "still" among them; "expert", who is told all that the simulator knows, is
         no competitor.
+      oracles: those of the others who are told who the person is.
 
     Returns:
-      by measure the means of "self_play" and "cross_play", what is "lost" from one to the other, and what one robot
-      reaches on average that is the "best_single" one by this measure; returns are above the still robot's in "lost"
-      and in comparisons. "valid" if LOST and GAINED hold, each in return or in success; "why" not.
+      by measure the means of "self_play" and "cross_play", what is "lost" from one to the other, what one robot reaches
+      on average that is the "best_single" one by this measure, and the same of the "best_knowing" one, an oracle or
+      everybody's own robot; returns are above the still robot's in "lost" and in comparisons. "valid" if LOST and
+      GAINED hold, each in return or in success; "why" not.
     """
     own = np.eye(len(matrix["return"]), dtype=bool)
     self_play = {name: float(x[own].mean()) for name, x in matrix.items()}
@@ -104,11 +122,9 @@ def judge(matrix: Mapping[str, np.ndarray], others: Mapping[str, Mapping[str, np
     robots: dict[str, Mapping[str, np.ndarray]] = {
         f"member {i}": {name: x[i] for name, x in matrix.items()} for i in range(len(own))
     }
-    robots |= {name: one for name, one in others.items() if name not in ("still", "expert")}
-    best: dict[str, dict[str, Any]] = {}
-    for measure in matrix:
-        name = max(robots, key=lambda robot, measure=measure: robots[robot][measure].mean())
-        best[measure] = {"robot": name, "mean": float(robots[name][measure].mean())}
+    robots |= {name: one for name, one in others.items() if name not in ("still", "expert", *oracles)}
+    knowing = {name: others[name] for name in oracles} | {"their own": {name: x[own] for name, x in matrix.items()}}
+    best, best_knowing = ({name: _best(those, name) for name in matrix} for those in (robots, knowing))
     judged = ("return", "success")
     why = []
     if max(lost[name] for name in judged) < LOST:
@@ -116,21 +132,31 @@ def judge(matrix: Mapping[str, np.ndarray], others: Mapping[str, Mapping[str, np
             f"cross-play loses {lost['return']:.0%} of the return and {lost['success']:.0%} of the success, "
             f"less than {LOST:.0%} of both: robots serve strangers as well as whom they know"
         )
-    needed = {name: (1 + GAINED) * (best[name]["mean"] - zero[name]) + zero[name] for name in judged}
-    if not any(self_play[name] > 0 and self_play[name] >= needed[name] for name in judged):
-        one = best["success"]
+    gained = {
+        name: best_knowing[name]["mean"] - zero[name] - (1 + GAINED) * (best[name]["mean"] - zero[name])
+        for name in judged
+    }
+    if not any(gained[name] >= -1e-9 and best_knowing[name]["mean"] > zero[name] for name in judged):
+        one, other = best["success"], best_knowing["success"]
         why.append(
-            f"one robot, {one['robot']}, succeeds with all in {one['mean']:.0%}, which is not {GAINED:.0%} less than "
-            f"the {self_play['success']:.0%} of everybody's own: who one's partner is need not be known"
+            f"one robot, {one['robot']}, succeeds with all in {one['mean']:.0%}, and who knows the partner, "
+            f"{other['robot']}, in {other['mean']:.0%}, not {GAINED:.0%} more: who it is need not be known"
         )
     return {
         "self_play": self_play,
         "cross_play": cross_play,
         "lost": lost,
         "best_single": best,
+        "best_knowing": best_knowing,
         "valid": not why,
         "why": "; ".join(why),
     }
+
+
+def _best(robots: Mapping[str, Mapping[str, np.ndarray]], measure: str) -> dict[str, Any]:
+    """Who has most on average over people."""
+    name = max(robots, key=lambda robot: float(robots[robot][measure].mean()))
+    return {"robot": name, "mean": float(robots[name][measure].mean())}
 
 
 def with_robots(population: Population, sample: int | None = None, seed: int = EVALUATION_SEED) -> Population:
