@@ -74,9 +74,18 @@ def test_files_of_other_code_are_not_gone_on_with(tmp_path, monkeypatch):
     path.write_text(json.dumps(report | {"hardware": "an abacus"}))
     with pytest.raises(UsageError, match="measured with other hardware; give another --out"):
         measure(wanted, path, 1.0, 60.0)
-    path.write_text('{"rows": 3}')
-    with pytest.raises(UsageError, match="Cannot read"):
-        measure(wanted, path, 1.0, 60.0)
+    for damaged in ('{"rows": 3}', '{"rows": [{}], "hardware": "x"}', "[]", '{"rows": [{"of": 1}]}'):
+        path.write_text(damaged)
+        with pytest.raises(UsageError, match="Cannot read") as error:
+            measure(wanted, path, 1.0, 60.0)
+        assert "\n" not in str(error.value)
+
+
+def test_what_was_asked_for_is_shown_whatever_the_file_holds_beside_it(tmp_path, monkeypatch, capsys):
+    counted(monkeypatch)
+    for task in ("feeding", "scratch"):
+        bench(task, seconds=1.0, out=tmp_path / "here.json")
+        assert f"{task}-v1" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -64,4 +64,5 @@ def bench(
     if json:
         print_json(report)
     elif not several:
-        print_table(report["rows"][0] | {name: x for name, x in report.items() if name != "rows"})
+        (row,) = (row for row in report["rows"] if wanted[0].is_of(row))
+        print_table(row | {name: x for name, x in report.items() if name != "rows"})

@@ -14,13 +14,27 @@ from assistax.diagnostics.bench import bench, bench_training
 from assistax.env import make
 from assistax.errors import UsageError, choose
 from assistax.files import read_json, write_json
+from assistax.formats import COUNT
 from assistax.physics import resolve_engine
 from assistax.settings import check_count
 from assistax.stamp import stamp
 from assistax.tasks import TASKS, task_spec
 from assistax.training.presets import PRESETS
 
-FORMAT = {"rows": [{str: object}]}  # what a file of measurements holds beside its stamp
+_RATE = range(2**53)
+FORMAT = {  # what a file of measurements holds beside its versions
+    "rows": [
+        {
+            "of": {"preset": (str, None), "num_seeds": (int, None)},
+            "task": str,
+            "engine": str,
+            "num_envs": COUNT,
+            "env_steps_per_s?": _RATE,
+            "training_steps_per_s?": _RATE,
+        }
+    ],
+    "hardware": str,
+}
 CPU_SIZES = (1024, 256, 64, 16, 1)  # environments, the most telling first
 ACCELERATOR_SIZES = (4096, 16384, 8192, 2048, 1024, 256, 1)
 MANY_SEEDS = 16
@@ -43,6 +57,10 @@ class Measurement:
         else:
             report = bench_training(self.task, self.engine, self.num_envs, seconds, self.preset, self.num_seeds or 1)
         return {"of": dataclasses.asdict(self)} | {name: x for name, x in report.items() if name not in stamp()}
+
+    def is_of(self, row: dict[str, Any]) -> bool:
+        """Whether this is what a row of a file was measured of."""
+        return row["of"] == dataclasses.asdict(self)
 
 
 def newest_tasks() -> list[str]:
@@ -113,8 +131,7 @@ def measure(
         if changed := [name for name in ("versions", "source", "hardware") if before.get(name) != report[name]]:
             raise UsageError(f"{path} was measured with other {' and '.join(changed)}; give another --out.")
         report = before
-    there = [row.get("of") for row in report["rows"]]
-    missing = [one for one in wanted if dataclasses.asdict(one) not in there]
+    missing = [one for one in wanted if not any(map(one.is_of, report["rows"]))]
     deadline = time.perf_counter() + budget
     for i, one in enumerate(missing):
         if i and time.perf_counter() > deadline:
