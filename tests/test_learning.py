@@ -556,3 +556,10 @@ def test_exploration_comes_down_to_what_is_asked_for(scratch):
         np.testing.assert_allclose(quiet["human"]["actor"]["log_std"], most, rtol=1e-6)
         np.testing.assert_allclose(quiet["robot"]["actor"]["log_std"], [-9.0] + [most] * 6, rtol=1e-6)
         assert quiet["robot"]["critic"] is params["robot"]["critic"]
+    timed = replace(config, exploration_steps=32)  # 4 iterations of 2 x 4 steps, however long the run
+    for done, most in ((0, -1.5), (3, -3.0), (7, -3.0)):
+        for length in (4, 100):
+            quiet = PPO(scratch, timed, 2, length)._quieter(timed, params, jnp.int32(done))
+            np.testing.assert_allclose(quiet["human"]["actor"]["log_std"], most, rtol=1e-6)
+    with pytest.raises(UsageError, match="ppo.exploration_steps must be 0"):
+        PPOConfig(exploration_steps=-1)

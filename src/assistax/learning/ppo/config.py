@@ -7,7 +7,7 @@ from assistax.errors import UsageError, choose
 from assistax.learning.networks import ACTIVATIONS
 from assistax.settings import check_count
 
-QUIETER = 0.75  # of a run, after which exploration has come down to final_log_std
+QUIETER = 0.75  # of a run, after which exploration has come down to final_log_std, unless exploration_steps says when
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,9 @@ class PPOConfig:
     hidden: tuple[int, ...] = (128, 128)  # units by layer, of actors and critics
     activation: str = "tanh"  # tanh, relu, ... of the hidden layers
     initial_log_std: float = 0.0  # of the actors' noise, natural logarithm
-    final_log_std: float | None = None  # what it is lowered to at least, evenly over QUIETER of the run; None: free
+    final_log_std: float | None = None  # what it is lowered to at least, evenly; None: free
+    exploration_steps: int = 0  # environment steps after which it is that low, as long as it takes to find the way;
+    # 0: after QUIETER of the run, so that a shorter run explores less
     cost_limit: float | None = None  # on an episode's undiscounted cost, on average; None: no limit
     multiplier_gains: tuple[float, ...] = (
         1.0,
@@ -65,6 +67,10 @@ class PPOConfig:
             raise UsageError(f"ppo.noise_correlation must be in [0, 1), not {self.noise_correlation}.")
         if self.correlated_steps < 0:
             raise UsageError(f"ppo.correlated_steps must be 0 (all of the run) or more, not {self.correlated_steps}.")
+        if self.exploration_steps < 0:
+            raise UsageError(
+                f"ppo.exploration_steps must be 0 (a share of the run) or more, not {self.exploration_steps}."
+            )
         if not 0 <= self.desired_kl < math.inf:
             raise UsageError(f"ppo.desired_kl must be 0 (none) or above, not {self.desired_kl}.")
         if self.partner_code < 0:

@@ -321,8 +321,9 @@ class PPO:
         return state, stats
 
     def _quieter(self, c, params, iteration):
-        """Actors whose noise is at most what this far into the run allows: what noise did, their means must learn."""
-        share = jnp.minimum((iteration + 1) / (QUIETER * (self._last_iteration + 1)), 1.0)
+        """Actors whose noise is at most what is allowed by now: what noise did, their means must learn."""
+        until = c.exploration_steps / self.steps_per_iteration or QUIETER * (self._last_iteration + 1)
+        share = jnp.minimum((iteration + 1) / until, 1.0)
         most = c.initial_log_std + share * (c.final_log_std - c.initial_log_std)
         actors = {name: networks["actor"] for name, networks in params.items()}
         quiet = {name: actor | {"log_std": jnp.minimum(actor["log_std"], most)} for name, actor in actors.items()}
