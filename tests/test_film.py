@@ -109,7 +109,7 @@ def test_the_film_is_taken_from_where_the_itch_is_seen():
         sensors["tool_pos"] = cam.data.site("tool_tip").xpos.copy()
         seen, from_close = [], []
         for seed in range(6):
-            place, normal = env.task.skin(sensors, env.task.reset(jax.random.key(seed)))
+            place, normal, _ = env.task.skin(sensors, env.task.reset(jax.random.key(seed)))
             np.testing.assert_allclose(out_of_skin(cam.model, cam.data, np.asarray(place)), normal, atol=1e-3)
             filmed = still(cam, "scratch-v1", np.asarray(place), np.zeros((1, 3)))
             for view, found in (("close", from_close), (viewpoint(cam, filmed, Spots(cam, filmed)), seen)):

@@ -561,5 +561,5 @@ def test_exploration_comes_down_to_what_is_asked_for(scratch):
         for length in (4, 100):
             quiet = PPO(scratch, timed, 2, length)._quieter(timed, params, jnp.int32(done))
             np.testing.assert_allclose(quiet["human"]["actor"]["log_std"], most, rtol=1e-6)
-    with pytest.raises(UsageError, match="ppo.exploration_steps must be 0"):
+    with pytest.raises(UsageError, match=r"ppo\.exploration_steps must be 0"):
         PPOConfig(exploration_steps=-1)

@@ -152,7 +152,66 @@ def test_itches_are_uniform_over_all_of_the_skin_between_shoulder_and_wrist():
         assert along / limb.half_length == pytest.approx(float(height[i]), abs=1e-5)
 
 
+def around(env, s, body, point):
+    """The outward normal [3] at a place [3] on the skin of a limb, in world axes, and the way to it from the tool in m:
+    straight, and then around the limb from the side that the tool is on."""
+    data = mujoco.MjData(env.model)
+    data.qpos = env.model.key("start").qpos
+    mujoco.mj_forward(env.model, data)
+    limb, body = scenes.geometry.capsule(env.model, body), data.body(body)
+    frame = body.xmat.reshape(3, 3)
+    flat = np.eye(3) - np.outer(limb.axis, limb.axis)
+    normal, tool = (flat @ (x - limb.centre) for x in (point, frame.T @ (s["tool_pos"][0] - body.xpos)))
+    angle = np.arccos(np.clip(normal @ tool / np.linalg.norm(normal) / np.linalg.norm(tool), -1, 1))
+    straight = np.linalg.norm(s["tool_pos"][0] - body.xpos - frame @ point)
+    return frame @ normal / limb.radius, straight + limb.radius * angle
+
+
+@pytest.mark.parametrize("place", range(6))
+def test_the_side_of_an_itch_is_seen_and_reach_leads_around_the_arm_to_it(place):
+    env, s = at_rest("scratch")
+    state = env.task.reset(jax.random.key(place))
+    body = ("right_upper_arm", "right_forearm")[int(state.segment)]
+    off = np.random.default_rng(place).normal(size=3) * 0.2
+    s["tool_pos"] = s["tool_pos"] * 0.0 + np.asarray(s[f"{body.removeprefix('right_')}_pos"]) + off
+    normal, way = around(env, s, body, np.asarray(state.itch, float))
+    now = {name: jnp.asarray(x[0], jnp.float32) for name, x in s.items()}
+    np.testing.assert_allclose(env.task.observe(now, state)["target_normal"], normal, atol=1e-5)
+    assert float(env.task.reward_terms(now, state)["reach"]) == pytest.approx(np.exp(-(way**2) / 0.1), abs=1e-5)
+
+
+def test_the_other_side_of_the_arm_is_paid_much_less_for_being_near():
+    """The stick on the skin opposite the itch: straight through the arm it would be paid 0.9."""
+    env, s = at_rest("scratch")
+    limb = scenes.geometry.capsule(env.model, "right_upper_arm")
+    state = dataclasses.replace(env.task.reset(jax.random.key(0)), segment=jnp.int32(0))
+    normal = np.cross(limb.axis, [1.0, 0, 0]) / np.linalg.norm(np.cross(limb.axis, [1.0, 0, 0]))
+    state = dataclasses.replace(state, itch=jnp.asarray(limb.centre + limb.radius * normal, jnp.float32))
+    frame = np.asarray(scenes.geometry.matrix(jnp.asarray(s["upper_arm_quat"][0])))
+    paid = []
+    for side in (1.0, -1.0):
+        s["tool_pos"] = s["upper_arm_pos"] + frame @ (limb.centre + side * limb.radius * normal)
+        now = {name: jnp.asarray(x[0], jnp.float32) for name, x in s.items()}
+        paid.append(float(env.task.reward_terms(now, state)["reach"]))
+    assert paid[0] == pytest.approx(1.0, abs=1e-4) and paid[1] < 0.7
+
+
 # -- bed bath --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_the_nearest_dirt_is_the_nearest_around_the_arm(place):
+    env, s = at_rest("bed_bath")
+    state = env.task.reset(jax.random.key(place))
+    s["tool_pos"] = s["forearm_pos"] + np.random.default_rng(place).normal(size=3) * 0.1
+    bodies = ["right_upper_arm"] * 29 + ["right_forearm"] * 23
+    points = np.concatenate([np.asarray(x, float) for x in env.task.points])
+    normals, ways = zip(*(around(env, s, body, point) for body, point in zip(bodies, points, strict=True)), strict=True)
+    nearest = np.where(np.asarray(state.visited), np.inf, ways).argmin()
+    now = {name: jnp.asarray(x[0], jnp.float32) for name, x in s.items()}
+    np.testing.assert_allclose(env.task.observe(now, state)["target_normal"], normals[nearest], atol=1e-5)
+    reach = env.task.reward_terms(now, state)["reach"]
+    assert float(reach) == pytest.approx(np.exp(-(ways[nearest] ** 2) / 0.1), abs=1e-5)
 
 
 def dirty_all_over(env):

@@ -35,6 +35,7 @@ BLOCKS = {  # by block of an observation its unit and what it is
     "mouth_pos": ("m", "the middle of the mouth"),
     "target_vector": ("m", "from the tool point to the target"),
     "target_distance": ("m", "its length"),
+    "target_normal": ("", "direction out of the skin at the target, a unit vector"),
     "target_rotation": ("", "orientation of the target as the tool sees it, a matrix row by row"),
     "waist_vector": ("m", "from the middle of the forearm to the waist target"),
     "waist_distance": ("m", "its length"),

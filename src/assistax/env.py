@@ -24,11 +24,11 @@ from assistax.human.wandering import wander
 from assistax.physics import UNSTABLE, PhysicsState, make_engine
 from assistax.physics.batching import map_where, whole_batch
 from assistax.pytree import pytree
+from assistax.scenes.geometry import norm
 from assistax.settings import check_count, check_measures, with_settings
 from assistax.spaces import Box
 from assistax.tasks import task_spec
 from assistax.tasks.base import Sensors, TaskState
-from assistax.tasks.rewards import norm
 
 AGENTS = ("robot", "human")
 Obs = dict[str, jax.Array]

@@ -25,6 +25,25 @@ def unit(vector: jax.Array) -> jax.Array:
     return vector / jnp.maximum(jnp.linalg.norm(vector, axis=-1, keepdims=True), 1e-6)
 
 
+def arc(to_skin: jax.Array, normal: jax.Array, axis: jax.Array, radius: jax.Array) -> jax.Array:
+    """Length [...] in m of the way around a limb, from the side that a tool is on to a point of the skin.
+
+    Args:
+      to_skin: [..., 3] m, from the tool to the point. normal, axis: [..., 3] unit, out of the skin there, and along
+        the limb. radius: [...] m, of the limb.
+    """
+    off = radius[..., None] * normal - to_skin  # from the limb's axis, level with the point, to the tool
+    side = off - axis * jnp.sum(off * axis, -1, keepdims=True)
+    return radius * jnp.arctan2(norm(jnp.cross(side, normal)), jnp.sum(side * normal, -1))
+
+
+def norm(x: jax.Array) -> jax.Array:
+    """Euclidean norm of the last axis, with a gradient of zero (not NaN) at zero."""
+    square = jnp.sum(jnp.square(x), -1)
+    safe = jnp.where(square > 0, square, 1.0)
+    return jnp.where(square > 0, jnp.sqrt(safe), 0.0)
+
+
 class Chain:
     """The hinges from the world to a site: where the site is, and how it moves with them."""
 

@@ -14,9 +14,10 @@ import mujoco
 
 from assistax.pytree import pytree
 from assistax.scenes import RIGHT_ARM, SceneConfig, geometry, limited
+from assistax.scenes.geometry import norm
 from assistax.tasks.base import Sensors, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import norm, reach, rotation, waist
+from assistax.tasks.rewards import reach, rotation, waist
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,10 @@ import numpy as np
 
 from assistax.pytree import pytree
 from assistax.scenes import BED_VIEW, RIGHT_ARM, SceneConfig, geometry, limited
+from assistax.scenes.geometry import norm
 from assistax.tasks.base import DONE, NOTHING_TO_DO, TO_DO, Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import norm, reach
+from assistax.tasks.rewards import reach
 
 SEGMENTS = ("upper_arm", "forearm")
 ROWS = (9, 8, 9)  # points along the limb, in three rows that are half a step apart: 26 per segment
@@ -32,6 +33,7 @@ class BedBathConfig:
     speed: tuple[float, float] = (0.0, 1e3)  # m/s, ... at a speed within these,
     wash_seconds: float = 0.0  # s, and is done, once for all, after so long in all; 0: at once, merely visited
     wipe_scale: float = 3.0  # per newly visited point; more if fewer than 52 are dirty, the same in all
+    sided: bool = False  # whether observations tell on which side the target is, and reach leads around the limb to it
     # Where the points are: all around the arm, or between fractions of the segment's length from its start, and up to
     # this angle to either side of up.
     around: bool = False
@@ -71,6 +73,8 @@ class BedBath:
         ]
         self._angle = jnp.concatenate(angles)  # [52] rad, around the limb from its upper side
         self.spots = dict(zip(bodies, self.points, strict=True))
+        self._axis = jnp.array([limb.axis for limb, _ in limbs])
+        self._radius = jnp.array([limb.radius for limb, _ in limbs])
         self.segment = np.repeat(np.arange(len(SEGMENTS)), [len(xs) for xs in self.points])  # [52], of each point
 
     def _rows(self, limb, up, side) -> tuple[np.ndarray, np.ndarray]:
@@ -117,24 +121,34 @@ class BedBath:
         pairs = zip(SEGMENTS, self.normals, strict=True)
         return jnp.concatenate([geometry.rotate(s[f"{segment}_quat"], normals) for segment, normals in pairs])
 
-    def _to_target(self, s: Sensors, state: BedBathState):
-        """Vector [3] from the tool to the nearest point not yet visited; to the nearest of all at the end."""
-        vectors = self.to_points(s)
+    def _target(self, s: Sensors, state: BedBathState):
+        """The nearest point not yet visited, the nearest of all at the end.
+
+        In world axes the vector [3] from the tool to it, the unit vector [3] out of the skin there, and the length of
+        the way to it in m.
+        """
+        vectors, normals = self.to_points(s), self.out_of_skin(s)
+        ways = norm(vectors)
+        if self.config.sided:
+            axes = geometry.rotate(jnp.stack([s[f"{segment}_quat"] for segment in SEGMENTS]), self._axis)
+            ways += geometry.arc(vectors, normals, axes[self.segment], self._radius[self.segment])
         skip = state.visited & ~state.visited.all()
-        return vectors[jnp.argmin(jnp.where(skip, jnp.inf, norm(vectors)))]
+        nearest = jnp.argmin(jnp.where(skip, jnp.inf, ways))
+        return vectors[nearest], normals[nearest], ways[nearest]
 
     def observe(self, s: Sensors, state: BedBathState):
-        vector = self._to_target(s, state)
-        return {
+        vector, normal, _ = self._target(s, state)
+        blocks = {
             "forearm_pos": s["forearm_pos"],
             "upper_arm_pos": s["upper_arm_pos"],
             "target_vector": vector,
             "target_distance": norm(vector)[None],
         }
+        return blocks | {"target_normal": normal} if self.config.sided else blocks
 
     def reward_terms(self, s: Sensors, state: BedBathState):
         return {
-            "reach": reach(norm(self._to_target(s, state))),
+            "reach": reach(self._target(s, state)[2]),
             "wipe": self.config.wipe_scale * state.newly * (len(self.segment) / state.dirty.sum()),
         }
 
@@ -173,7 +187,7 @@ class BedBath:
         return jnp.where(state.dirty, jnp.where(state.visited, DONE, TO_DO), NOTHING_TO_DO).astype(jnp.int8)
 
     def markers(self, s: Sensors, state: BedBathState):
-        return s["tool_pos"] + self._to_target(s, state)
+        return s["tool_pos"] + self._target(s, state)[0]
 
 
 _SCENE = SceneConfig("bed", "lying", "wiper", (-0.25, -0.9, 0.32), pi / 2, RIGHT_ARM, **BED_VIEW)
@@ -196,6 +210,7 @@ SPECS = (
         limited(_SCENE, *SEGMENTS),
         BedBathConfig(
             around=True,
+            sided=True,
             dirty=pi / 3,
             touch_force=0.5,
             most_force=15.0,

@@ -14,9 +14,10 @@ import mujoco
 
 from assistax.pytree import pytree
 from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry, limited
+from assistax.scenes.geometry import norm
 from assistax.tasks.base import Sensors, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import UP, approach, boltzmann, envelope, norm, orientation
+from assistax.tasks.rewards import UP, approach, boltzmann, envelope, orientation
 
 GRAVITY = 9.81  # m/s²
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from assistax.scenes.geometry import unit
+from assistax.scenes.geometry import norm, unit
 
 SIGMA = 0.1  # σ of the reach terms, m² in r_t, m in r_t'
 DECAY = 3.0  # 1/m, of r_te and of the alignment's envelope
@@ -86,10 +86,3 @@ def alignment(to_mouth: jax.Array, bristle: jax.Array, handle: jax.Array, inward
     """
     towards = unit(to_mouth) if inward is None else inward
     return 0.5 * (bristle @ towards + 1.0 - jnp.abs(handle @ UP))
-
-
-def norm(x: jax.Array) -> jax.Array:
-    """Euclidean norm of the last axis, with a gradient of zero (not NaN) at zero."""
-    square = jnp.sum(jnp.square(x), -1)
-    safe = jnp.where(square > 0, square, 1.0)
-    return jnp.where(square > 0, jnp.sqrt(safe), 0.0)

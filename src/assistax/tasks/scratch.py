@@ -14,9 +14,10 @@ import numpy as np
 
 from assistax.pytree import pytree
 from assistax.scenes import RIGHT_ARM, SceneConfig, geometry, limited
+from assistax.scenes.geometry import norm
 from assistax.tasks.base import Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import boltzmann, norm, reach
+from assistax.tasks.rewards import boltzmann, reach
 
 SEGMENTS = ("upper_arm", "forearm")
 TOUCHING = 1e-3  # N, a contact; 0 up to rounding
@@ -29,6 +30,7 @@ class ScratchConfig:
     force: float = 3.0  # N, f* of the scratch term
     scratch_scale: float = 4.0  # of the scratch term
     pay_help_only: bool = False  # whether the scratch term pays only where it helps, or wherever the tool is near
+    sided: bool = False  # whether observations tell on which side it itches, and reach leads around the limb to it
     # Where an itch can be: between these fractions of the segment's half-length, and within this
     # angle of the side that faces away from the trunk.
     height: tuple[float, float] = (-0.8, 0.8)
@@ -87,11 +89,12 @@ class Scratch:
         return pos + geometry.rotate(quat, state.itch) - s["tool_pos"]
 
     def skin(self, s: Sensors, state: ScratchState):
-        """The itch [3] and the unit vector [3] that points out of the skin there, in world axes."""
+        """In world axes the itch [3], and the unit vectors [3] out of the skin there and along the segment."""
         on_upper = state.segment == 0
         quat = jnp.where(on_upper, s["upper_arm_quat"], s["forearm_quat"])
         axis, arm = self._axis[state.segment], state.itch - self._centre[state.segment]
-        return s["tool_pos"] + self._to_itch(s, state), geometry.rotate(quat, geometry.unit(arm - axis * (axis @ arm)))
+        normal = geometry.unit(arm - axis * (axis @ arm))
+        return s["tool_pos"] + self._to_itch(s, state), geometry.rotate(quat, normal), geometry.rotate(quat, axis)
 
     def place(self, state: ScratchState):
         """Where on its segment the itch is: height in half-lengths from the middle, and angle in rad."""
@@ -101,21 +104,25 @@ class Scratch:
 
     def observe(self, s: Sensors, state: ScratchState):
         vector = self._to_itch(s, state)
-        return {
+        blocks = {
             "forearm_pos": s["forearm_pos"],
             "upper_arm_pos": s["upper_arm_pos"],
             "target_vector": vector,
             "target_distance": norm(vector)[None],
         }
+        return blocks | {"target_normal": self.skin(s, state)[1]} if self.config.sided else blocks
 
     def reward_terms(self, s: Sensors, state: ScratchState):
         c = self.config
-        distance = norm(self._to_itch(s, state))
+        to_itch = self._to_itch(s, state)
+        way = distance = norm(to_itch)
+        if c.sided:
+            way += geometry.arc(to_itch, *self.skin(s, state)[1:], self._radius[state.segment])
         speed, force = self.tool_speed(s, state), norm(self._on_segment(s, state, tool_force))
         moving, pressing = boltzmann(speed / c.speed), boltzmann(force / c.force)
         paid = self.helping(s, state) if c.pay_help_only else distance < c.near
         return {
-            "reach": reach(distance),
+            "reach": reach(way),
             "scratch": c.scratch_scale * paid * moving * pressing,
         }
 
@@ -178,6 +185,7 @@ SPECS = (
             by_area=True,
             scratch_scale=16.0,
             pay_help_only=True,
+            sided=True,
             scratch_distance=0.04,
         ),
         expert="assistax.policies.experts.scratch:ScratchExpert",

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 
 from assistax.policies.experts.controller import Expert, Goal, circle
 from assistax.scenes import geometry
-from assistax.tasks.rewards import LEVEL, UP, norm
+from assistax.scenes.geometry import norm
+from assistax.tasks.rewards import LEVEL, UP
 
 CARRYING = 0.6  # of the speed at which the forearm may be carried, if the task limits it
 

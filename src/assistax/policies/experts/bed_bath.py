@@ -5,7 +5,8 @@ import numpy as np
 
 from assistax.policies.experts.controller import Expert, Goal, turn_to
 from assistax.scenes import geometry
-from assistax.tasks.rewards import LEVEL, UP, norm
+from assistax.scenes.geometry import norm
+from assistax.tasks.rewards import LEVEL, UP
 from assistax.tasks.scratch import SEGMENTS
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from assistax import scenes
 from assistax.errors import UsageError
 from assistax.scenes import geometry
-from assistax.tasks.rewards import norm
+from assistax.scenes.geometry import norm
 
 # The controller. Tool point and tool frame are driven with limited speed, as a person would like it.
 GAIN = 6.0  # 1/s, wanted speed per m of error

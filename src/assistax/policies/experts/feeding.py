@@ -4,7 +4,8 @@ import jax.numpy as jnp
 
 from assistax.policies.experts.controller import Expert, Goal
 from assistax.scenes import geometry
-from assistax.tasks.rewards import LEVEL, UP, norm, proximity
+from assistax.scenes.geometry import norm
+from assistax.tasks.rewards import LEVEL, UP, proximity
 
 
 class FeedingExpert(Expert):

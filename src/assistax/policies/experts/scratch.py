@@ -4,7 +4,8 @@ import jax.numpy as jnp
 
 from assistax.policies.experts.controller import Expert, Goal, turn_to
 from assistax.scenes import geometry
-from assistax.tasks.rewards import LEVEL, norm
+from assistax.scenes.geometry import norm
+from assistax.tasks.rewards import LEVEL
 
 
 class ScratchExpert(Expert):
