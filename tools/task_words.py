@@ -65,8 +65,8 @@ TASKS = {
                 lambda c, steps: steps * c.scratch_scale * B_LARGEST**2,
             ),
         },
-        "d: distance from the tool point to the itch (m); a: length of the arc around the segment from the side that the "
-        "tool point is on to that of the itch (m); σ = {r.SIGMA:g} m²; v: speed of the tool point as the "
+        "d: distance from the tool point to the itch (m); a: length of the arc around the segment from the side that "
+        "the tool point is on to that of the itch (m); σ = {r.SIGMA:g} m²; v: speed of the tool point as the "
         "segment with the itch sees it (m/s); f: force of the tool on that segment (N); {B}",
         "the tool point is within {c.scratch_distance:g} m of the itch and the tool touches the segment (upper arm "
         "or forearm) that the itch is on",
