@@ -39,6 +39,8 @@ BLOCKS = {  # by block of an observation its unit and what it is
     "target_rotation": ("", "orientation of the target as the tool sees it, a matrix row by row"),
     "waist_vector": ("m", "from the middle of the forearm to the waist target"),
     "waist_distance": ("m", "its length"),
+    "target_velocity": ("m/s", "velocity of the target"),
+    "thrown": ("", "1 if the arm moved too fast for help since it last lay still away from the waist, otherwise 0"),
 }
 SPEC_FIELDS = {  # what versions may differ in beside settings, and how it is told
     "bound": "bound of the return",

@@ -154,9 +154,10 @@ TASKS = {
         "d: distance from the tool point to a place on the forearm {c.grip:g} m from its middle toward the hand (m); "
         "d_H: distance from the middle of the forearm to the waist target (m); σ = {r.SIGMA:g} m²; R: orientations as "
         "matrices; paid: 1 while the arm is brought back (below), and otherwise {c.unsettled:g}",
-        "the middle of the forearm is within {c.waist_distance:g} m of the waist target",
-        "{c.success_seconds:g} s in all in which it helps and the forearm is slower than {c.settled_speed:g} m/s, "
-        "having been carried there below {c.carrying_speed:g} m/s (`seconds_at_waist`)",
+        "the middle of the forearm is within {c.waist_distance:g} m of the waist target, having been carried there "
+        "below {c.carrying_speed:g} m/s since it last lay still elsewhere",
+        "{c.success_seconds:g} s in all in which it helps and the forearm is slower than {c.settled_speed:g} m/s "
+        "(`seconds_at_waist`)",
         "The task itself never ends an episode.",
         JOINTS_ONLY.format(what="both targets are fixed to the person's body"),
         "Speed does not matter: a forearm that swings through the waist or is thrown there counts and is paid in full.",

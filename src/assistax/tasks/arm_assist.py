@@ -27,6 +27,7 @@ class ArmAssistConfig:
     rotation_scale: float = 0.1  # of the rotation term
     grip: float = 0.0  # m, from the middle of the forearm toward the hand, to where the hook is to come
     unsettled: float = 1.0  # of the waist term is paid unless the forearm is brought back
+    speed_seen: bool = False  # whether observations tell how the forearm moves, and whether it was thrown
     # What counts as brought back, and for how long in all it must last to be a success.
     waist_distance: float = 0.10  # m
     settled_speed: float = 1e3  # m/s, of the forearm, at most, while it counts
@@ -64,7 +65,7 @@ class ArmAssist:
     def observe(self, s: Sensors, state: ArmAssistState):
         vector = s["wrist_target_pos"] - s["tool_pos"]
         to_waist = s["waist_target_pos"] - s["wrist_target_pos"]
-        return {
+        blocks = {
             "forearm_pos": s["forearm_pos"],
             "upper_arm_pos": s["upper_arm_pos"],
             "target_vector": vector,
@@ -73,6 +74,9 @@ class ArmAssist:
             "waist_vector": to_waist,
             "waist_distance": norm(to_waist)[None],
         }
+        if self.config.speed_seen:
+            blocks |= {"target_velocity": s["wrist_target_vel"], "thrown": state.thrown.astype(jnp.float32)[None]}
+        return blocks
 
     def reward_terms(self, s: Sensors, state: ArmAssistState):
         c = self.config
@@ -87,7 +91,7 @@ class ArmAssist:
         }
 
     def advance(self, s: Sensors, state: ArmAssistState) -> ArmAssistState:
-        c, there = self.config, self.helping(s, state)
+        c, there = self.config, self._there(s)
         speed = self._speed(s)
         thrown = (state.thrown & (there | (speed > c.settled_speed))) | (speed > c.carrying_speed)
         settled = self._settled(s, state, thrown)
@@ -95,9 +99,13 @@ class ArmAssist:
 
     def _settled(self, s: Sensors, state: ArmAssistState, thrown):
         """The forearm is at the waist, still, and was carried there."""
-        return self.helping(s, state) & ~thrown & (self._speed(s) <= self.config.settled_speed)
+        return self._there(s) & ~thrown & (self._speed(s) <= self.config.settled_speed)
 
     def helping(self, s: Sensors, state: ArmAssistState):
+        """The forearm is at the waist, and was carried there."""
+        return self._there(s) & ~state.thrown
+
+    def _there(self, s: Sensors):
         """The forearm is at the waist."""
         return norm(s["waist_target_pos"] - s["wrist_target_pos"]) < self.config.waist_distance
 
@@ -153,6 +161,7 @@ SPECS = (
             waist_width=0.3,
             grip=0.075,
             unsettled=0.7,
+            speed_seen=True,
             settled_speed=0.1,
             carrying_speed=0.5,
         ),

@@ -1,0 +1,385 @@
+"""What counts as help in version 1, and a cheat for each task that scores nothing."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import mujoco
+import numpy as np
+import pytest
+from instants import DT, at_rest, env_of, play, repeated, sensors
+
+from assistax import scenes
+
+# -- scratch ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("distance", "speed", "force", "counts"),
+    [(0.03, 0.1, 3.0, True), (0.05, 0.1, 3.0, False), (0.03, 0.02, 3.0, False), (0.03, 0.4, 3.0, False),
+     (0.03, 0.1, 0.5, False), (0.03, 0.1, 7.0, False)],
+)  # fmt: skip
+def test_scratching_is_near_the_itch_firm_and_moving(distance, speed, force, counts):
+    env, s = at_rest("scratch")
+    state = dataclasses.replace(env.task.reset(jax.random.key(0)), segment=jnp.int32(1))
+    frame = np.asarray(scenes.geometry.matrix(jnp.asarray(s["forearm_quat"][0])))
+    s["tool_pos"] = s["forearm_pos"] + frame @ np.asarray(state.itch) + [0, 0, distance]
+    s["tool_vel_forearm"] = np.array([[0, speed, 0.0]])
+    s["tool_force_forearm"] = s["tool_force"] = np.array([[0, 0, force]])
+    assert bool(play(env, s, state).scratch_seconds > 0) == counts
+    s |= {"tool_force_forearm": np.zeros((1, 3)), "tool_force_upper_arm": np.array([[0, 0, force]])}
+    assert play(env, s, state).scratch_seconds == 0  # the stick is on the other segment
+
+
+def test_the_wrong_side_of_the_arm_does_not_itch():
+    """The stick on the far side of the forearm, which version 0 took for the itch 6 cm away."""
+    env, s = at_rest("scratch")
+    limb = scenes.geometry.capsule(env.model, "right_forearm")
+    normal = np.cross(limb.axis, [1.0, 0, 0])
+    normal /= np.linalg.norm(normal)
+    state = env.task.reset(jax.random.key(0))
+    itch = limb.centre + limb.radius * normal
+    state = dataclasses.replace(state, segment=jnp.int32(1), itch=jnp.asarray(itch, jnp.float32))
+    frame = np.asarray(scenes.geometry.matrix(jnp.asarray(s["forearm_quat"][0])))
+    s["tool_vel_forearm"], s["tool_force_forearm"] = np.array([[0, 0.1, 0.0]]), np.array([[0, 0, 3.0]])
+    for side, counts in ((1.0, True), (-1.0, False)):
+        s["tool_pos"] = s["forearm_pos"] + frame @ (limb.centre + side * limb.radius * normal)
+        assert bool(play(env, s, state).scratch_seconds > 0) == counts
+
+
+def test_itches_are_uniform_over_all_of_the_skin_between_shoulder_and_wrist():
+    env, _ = at_rest("scratch")
+    states = jax.vmap(env.task.reset)(jax.random.split(jax.random.key(0), 4000))
+    height, angle = jax.vmap(env.task.place)(states)
+    limbs = [scenes.geometry.capsule(env.model, f"right_{part}") for part in ("upper_arm", "forearm")]
+    for x, span in ((np.asarray(height), 1.0), (np.asarray(angle), np.pi)):
+        counts, _ = np.histogram(x, 8, (-span, span))
+        assert counts.sum() == 4000 and abs(counts - 500).max() < 100
+    skin = np.array([limb.radius * limb.half_length for limb in limbs])
+    assert np.mean(states.segment) == pytest.approx(skin[1] / skin.sum(), abs=0.03)
+    for i in range(20):
+        limb, itch = limbs[int(states.segment[i])], np.asarray(states.itch[i], float)
+        along = (itch - limb.centre) @ limb.axis
+        assert np.linalg.norm(itch - limb.centre - along * limb.axis) == pytest.approx(limb.radius, abs=1e-6)
+        assert along / limb.half_length == pytest.approx(float(height[i]), abs=1e-5)
+
+
+def around(env, s, body, point):
+    """The outward normal [3] at a place [3] on the skin of a limb, in world axes, and the way to it from the tool in m:
+    straight, and then around the limb from the side that the tool is on."""
+    data = mujoco.MjData(env.model)
+    data.qpos = env.model.key("start").qpos
+    mujoco.mj_forward(env.model, data)
+    limb, body = scenes.geometry.capsule(env.model, body), data.body(body)
+    frame = body.xmat.reshape(3, 3)
+    flat = np.eye(3) - np.outer(limb.axis, limb.axis)
+    normal, tool = (flat @ (x - limb.centre) for x in (point, frame.T @ (s["tool_pos"][0] - body.xpos)))
+    angle = np.arccos(np.clip(normal @ tool / np.linalg.norm(normal) / np.linalg.norm(tool), -1, 1))
+    straight = np.linalg.norm(s["tool_pos"][0] - body.xpos - frame @ point)
+    return frame @ normal / limb.radius, straight + limb.radius * angle
+
+
+@pytest.mark.parametrize("place", range(6))
+def test_the_side_of_an_itch_is_seen_and_reach_leads_around_the_arm_to_it(place):
+    env, s = at_rest("scratch")
+    state = env.task.reset(jax.random.key(place))
+    body = ("right_upper_arm", "right_forearm")[int(state.segment)]
+    off = np.random.default_rng(place).normal(size=3) * 0.2
+    s["tool_pos"] = s["tool_pos"] * 0.0 + np.asarray(s[f"{body.removeprefix('right_')}_pos"]) + off
+    normal, way = around(env, s, body, np.asarray(state.itch, float))
+    now = {name: jnp.asarray(x[0], jnp.float32) for name, x in s.items()}
+    np.testing.assert_allclose(env.task.observe(now, state)["target_normal"], normal, atol=1e-5)
+    assert float(env.task.reward_terms(now, state)["reach"]) == pytest.approx(np.exp(-(way**2) / 0.1), abs=1e-5)
+
+
+def test_the_other_side_of_the_arm_is_paid_much_less_for_being_near():
+    """The stick on the skin opposite the itch: straight through the arm it would be paid 0.9."""
+    env, s = at_rest("scratch")
+    limb = scenes.geometry.capsule(env.model, "right_upper_arm")
+    state = dataclasses.replace(env.task.reset(jax.random.key(0)), segment=jnp.int32(0))
+    normal = np.cross(limb.axis, [1.0, 0, 0]) / np.linalg.norm(np.cross(limb.axis, [1.0, 0, 0]))
+    state = dataclasses.replace(state, itch=jnp.asarray(limb.centre + limb.radius * normal, jnp.float32))
+    frame = np.asarray(scenes.geometry.matrix(jnp.asarray(s["upper_arm_quat"][0])))
+    paid = []
+    for side in (1.0, -1.0):
+        s["tool_pos"] = s["upper_arm_pos"] + frame @ (limb.centre + side * limb.radius * normal)
+        now = {name: jnp.asarray(x[0], jnp.float32) for name, x in s.items()}
+        paid.append(float(env.task.reward_terms(now, state)["reach"]))
+    assert paid[0] == pytest.approx(1.0, abs=1e-4) and paid[1] < 0.7
+
+
+# -- bed bath --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_the_nearest_dirt_is_the_nearest_around_the_arm(place):
+    env, s = at_rest("bed_bath")
+    state = env.task.reset(jax.random.key(place))
+    s["tool_pos"] = s["forearm_pos"] + np.random.default_rng(place).normal(size=3) * 0.1
+    bodies = ["right_upper_arm"] * 29 + ["right_forearm"] * 23
+    points = np.concatenate([np.asarray(x, float) for x in env.task.points])
+    normals, ways = zip(*(around(env, s, body, point) for body, point in zip(bodies, points, strict=True)), strict=True)
+    nearest = np.where(np.asarray(state.visited), np.inf, ways).argmin()
+    now = {name: jnp.asarray(x[0], jnp.float32) for name, x in s.items()}
+    np.testing.assert_allclose(env.task.observe(now, state)["target_normal"], normals[nearest], atol=1e-5)
+    reach = env.task.reward_terms(now, state)["reach"]
+    assert float(reach) == pytest.approx(np.exp(-(ways[nearest] ** 2) / 0.1), abs=1e-5)
+
+
+def dirty_all_over(env):
+    state = env.task.reset(jax.random.key(0))
+    return dataclasses.replace(state, dirty=jnp.ones(52, bool), visited=jnp.zeros(52, bool))
+
+
+def washing(env, s, point, force=5.0, speed=0.1):
+    frame = np.asarray(scenes.geometry.matrix(jnp.asarray(s["forearm_quat"][0])))
+    s = dict(s)
+    s["tool_pos"] = s["forearm_pos"] + frame @ np.asarray(env.task.points[1][point])
+    s["tool_force_forearm"], s["tool_vel_forearm"] = np.array([[0, 0, force]]), np.array([[speed, 0, 0.0]])
+    return s
+
+
+def test_a_point_is_washed_after_80_ms_of_rubbing_and_one_touch_of_the_pad_washes_none():
+    env, s = at_rest("bed_bath")
+    rub, all_dirty = washing(env, s, 4), dirty_all_over(env)
+    assert not play(env, repeated(rub, 1), all_dirty).visited.any()  # one 8 ms contact, eleven points in version 0
+    nine = play(env, repeated(rub, 9), all_dirty)
+    assert not nine.visited.any()
+    ten = play(env, rub, nine)
+    far = np.linalg.norm(np.asarray(env.task.to_points({k: jnp.asarray(x[0]) for k, x in rub.items()})), axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(ten.visited), [i for i in range(29, 52) if far[i] < 0.05])
+    assert ten.newly == ten.visited.sum() > 0 and play(env, rub, ten).newly == 0
+    for force, speed in ((0.4, 0.1), (16.0, 0.1), (5.0, 0.01), (5.0, 1.2)):
+        assert not play(env, repeated(washing(env, s, 4, force, speed), 50), all_dirty).visited.any()
+
+
+def test_bath_points_lie_evenly_all_around_both_segments():
+    env, _ = at_rest("bed_bath")
+    areas = []
+    for body, points, normals in zip(
+        ("right_upper_arm", "right_forearm"), env.task.points, env.task.normals, strict=True
+    ):
+        limb = scenes.geometry.capsule(env.model, body)
+        off = np.asarray(points, float) - limb.centre
+        height = off @ limb.axis
+        square = off - height[:, None] * limb.axis
+        np.testing.assert_allclose(np.linalg.norm(square, axis=1), limb.radius, atol=1e-6)
+        np.testing.assert_allclose(square / limb.radius, normals, atol=1e-5)
+        assert np.abs(height).max() < limb.half_length
+        apart = np.linalg.norm(off[:, None] - off, axis=-1) + np.eye(len(off))
+        assert apart.min() > 0.03 and apart.min(1).max() < 0.055
+        # Nowhere on the skin is a point further than 5 cm.
+        turns, along = np.meshgrid(np.linspace(0, 2 * np.pi, 40), np.linspace(-1, 1, 20) * limb.half_length)
+        other = np.cross(limb.axis, square[0] / limb.radius)
+        around = np.cos(turns)[..., None] * square[0] + np.sin(turns)[..., None] * limb.radius * other
+        skin = along[..., None] * limb.axis + around
+        assert np.linalg.norm(skin[:, :, None] - off, axis=-1).min(-1).max() < 0.05
+        areas.append(limb.radius * limb.half_length / len(off))
+    assert max(areas) < 1.05 * min(areas)
+
+
+def test_a_third_of_the_arm_is_dirty_on_a_side_that_the_reset_draws_and_the_rest_counts_for_nothing():
+    env, s = at_rest("bed_bath")
+    states = jax.vmap(env.task.reset)(jax.random.split(jax.random.key(0), 500))
+    dirty = np.asarray(states.dirty)
+    assert (dirty.sum(1) >= 14).all() and (dirty.sum(1) <= 21).all()
+    assert np.abs(dirty.mean(0) - 1 / 3).max() < 0.1  # every place as often
+    assert (states.visited == ~dirty).all()
+    bodies = np.concatenate([np.asarray(x) for x in env.task.normals])
+    for row in dirty[:20]:
+        for of in (env.task.segment == 0, env.task.segment == 1):  # all within 120°, so none is opposite another
+            assert (bodies[of & row] @ bodies[of & row].T).min() >= -0.5 - 1e-5
+    state = jax.tree.map(lambda x: x[0], states)
+    assert env.task.outcomes(state)["fraction_visited"] == 0 and not env.task.success(state)
+    clean = int(np.flatnonzero(~dirty[0] & (env.task.segment == 1))[0]) - 29
+    after = play(env, repeated(washing(env, s, clean), 50), state)
+    assert after.visited.sum() - state.visited.sum() == (after.visited & dirty[0]).sum()
+    washed = dataclasses.replace(state, visited=jnp.ones(52, bool), newly=jnp.int32(dirty[0].sum()))
+    terms = env.task.reward_terms({k: jnp.asarray(x[0], jnp.float32) for k, x in s.items()}, washed)
+    assert terms["wipe"] == pytest.approx(624.0)  # whatever was dirty
+    assert env.task.success(washed)
+
+
+def test_a_bath_that_is_done_pays_the_rest_of_the_episode():
+    env = env_of("bed_bath")
+    _, state = env.reset(jax.random.key(0))
+    done = dataclasses.replace(state.task, visited=jnp.ones(52, bool))
+    actions = {agent: jnp.zeros(n) for agent, n in env.action_sizes.items()}
+    step = jax.jit(env.step_env)
+    for t in (0, 12, 19):
+        late = dataclasses.replace(state, t=jnp.int32(t))
+        one = step(jax.random.key(0), late, actions)[-1]["reward_terms"]
+        _, _, rewards, terminated, _, info = step(jax.random.key(0), dataclasses.replace(late, task=done), actions)
+        assert terminated["__all__"]
+        every = env.task.reward_terms(env.sensors(step(jax.random.key(0), late, actions)[1].physics), done)
+        np.testing.assert_allclose(info["reward_terms"]["reach"], (20 - t) * every["reach"], rtol=1e-5)
+        assert one["reach"] <= 1.0 and rewards["robot"] <= 20 - t + 1e-5
+
+
+# -- arm assist ------------------------------------------------------------------------------------
+
+
+def test_the_arm_must_be_carried_to_the_waist_and_lie_still_there():
+    env, s = at_rest("arm_assist")
+    there = s | {"wrist_target_pos": s["waist_target_pos"] + [0, 0.05, 0]}
+
+    def arm(where, speed, steps):
+        return repeated(where | {"wrist_target_vel": np.array([[0, speed, 0.0]])}, steps)
+
+    def seconds(*moves):
+        state = None
+        for move in moves:
+            state = play(env, arm(*move), state)
+        return float(state.seconds_at_waist)
+
+    assert seconds((s, 0.3, 50), (there, 0.05, 63)) == pytest.approx(63 * DT, rel=1e-4)
+    assert seconds((there, 0.2, 63)) == 0.0  # passing by
+    assert seconds((s, 0.9, 5), (there, 0.05, 500)) == 0.0  # thrown
+    assert seconds((s, 0.3, 5), (there, 0.9, 5), (there, 0.05, 500)) == 0.0  # dropped
+    assert seconds((s, 0.9, 5), (s, 0.05, 1), (s, 0.3, 50), (there, 0.05, 10)) > 0  # laid down, then carried
+    assert bool(env.task.success(play(env, arm(there, 0.05, 63))))
+    assert not bool(env.task.success(play(env, arm(there, 0.05, 62))))
+
+
+def test_whether_the_arm_was_thrown_is_seen_and_a_thrown_arm_is_no_help():
+    env, s = at_rest("arm_assist")
+    there = s | {"wrist_target_pos": s["waist_target_pos"] + [0, 0.05, 0]}
+    fast = there | {"wrist_target_vel": np.array([[0, 0.3, -0.6]])}
+    for moves, thrown in (((there,), 0.0), ((fast, there), 1.0)):
+        state = None
+        for move in moves:
+            state = play(env, move, state)
+        now = {name: jnp.asarray(x[0], jnp.float32) for name, x in move.items()}
+        assert env.task.observe(now, state)["thrown"] == thrown and env.task.helping(now, state) == (not thrown)
+    seen = env.task.observe({name: jnp.asarray(x[0], jnp.float32) for name, x in fast.items()}, state)
+    np.testing.assert_allclose(seen["target_velocity"], [0, 0.3, -0.6], rtol=1e-6)
+
+
+def test_the_hook_is_led_to_where_the_forearm_lies_free():
+    """7.5 cm from its middle toward the hand; the mattress is below its middle."""
+    env, s = at_rest("arm_assist")
+    wrist = np.asarray(s["wrist_target_pos"][0], float)
+    axis = np.zeros(9)
+    mujoco.mju_quat2Mat(axis, np.asarray(s["wrist_target_quat"][0], float))
+    axis = axis.reshape(3, 3)[:, 2]  # to the elbow
+    assert axis @ (np.asarray(s["upper_arm_pos"][0], float) - wrist) > 0.0
+    place = wrist - 0.075 * axis
+    for tool in (place, place + 0.06, wrist, wrist + 0.1):
+        now = {name: jnp.asarray(x[0], jnp.float32) for name, x in (s | {"tool_pos": tool[None]}).items()}
+        terms = env.task.reward_terms(now, env.task.reset(jax.random.key(0)))
+        assert float(terms["reach"]) == pytest.approx(np.exp(-((tool - place) @ (tool - place)) / 0.1), abs=1e-5)
+
+
+def test_the_robot_starts_beside_the_arm_with_its_hook_turned_to_it():
+    _, s = at_rest("arm_assist")
+    frames = np.zeros((2, 9))
+    for frame, name in zip(frames, ("tool_quat", "wrist_target_quat"), strict=True):
+        mujoco.mju_quat2Mat(frame, np.asarray(s[name][0], float))
+    turned = frames[0].reshape(3, 3).T @ frames[1].reshape(3, 3)
+    assert np.trace(turned) > 2.9
+    wrist, waist, tool = (
+        np.asarray(s[name][0], float) for name in ("wrist_target_pos", "waist_target_pos", "tool_pos")
+    )
+    away = (wrist - waist) * [1, 1, 0]
+    assert (tool - wrist) @ away / np.linalg.norm(away) > 0.15 and 0.0 < tool[2] - wrist[2] < 0.1
+
+
+# -- feeding ---------------------------------------------------------------------------------------
+
+
+def spoon(s, bearing=0.0, up=(0, 0, 1.0), tip=None, distance=0.036, speed=0.05):
+    """A spoon at the mouth, its tip at its centre, coming from `bearing` rad around the vertical."""
+    face = np.asarray(scenes.geometry.matrix(jnp.asarray(s["mouth_quat"][0])), float)
+    c, sn = np.cos(bearing), np.sin(bearing)
+    tip = -(c * face[:, 0] + sn * face[:, 1]) if tip is None else np.asarray(tip, float)
+    up = np.asarray(up, float) - tip * (tip @ up)
+    up /= np.linalg.norm(up)
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, np.stack([-up, np.cross(tip, -up), tip], axis=1).ravel())
+    return s | {
+        "tool_quat": quat[None], "tool_pos": s["mouth_pos"] - distance * tip, "tool_vel": np.zeros((1, 3)),
+        "tool_vel_head": np.array([[speed, 0, 0.0]]),
+    }  # fmt: skip
+
+
+def test_a_spoon_feeds_from_the_front_with_its_tip_in_and_its_food_up():
+    env, s = at_rest("feeding")
+
+    def fed(*args, **kwargs):
+        return bool(env.task.success(play(env, repeated(spoon(s, *args, **kwargs), 63))))
+
+    assert fed() and fed(bearing=0.9) and fed(up=(0, 0.7, 1.0))
+    assert not fed(bearing=1.2)  # from the side
+    assert not fed(up=(0, 0, -1.0))  # upside down
+    assert not fed(tip=(0, 0, 1.0), up=(0, 1.0, 0))  # from below
+    assert not fed(speed=0.15) and not fed(distance=0.07)
+    face = np.asarray(scenes.geometry.matrix(jnp.asarray(s["mouth_quat"][0])), float)
+    under = spoon(s)  # level, its tip at the chin
+    under |= {"tool_pos": under["tool_pos"] - 0.032 * face[:, 2]}
+    assert not bool(env.task.success(play(env, repeated(under, 63))))
+
+
+def test_food_falls_by_gravity_as_the_bowl_feels_it():
+    """Against a float64 filter of the spoon's acceleration along shaken and tilted trajectories."""
+    env, s = at_rest("feeding")
+    rng, lost = np.random.default_rng(0), []
+    for case in range(12):
+        n, t = 60, np.arange(60) * DT
+        amplitude, hertz, tilt = rng.uniform(0, 0.12), rng.uniform(1, 6), rng.uniform(0, 0.9)
+        velocity = np.zeros((n, 3))
+        velocity[:, 0] = amplitude * 2 * np.pi * hertz * np.sin(2 * np.pi * hertz * t)
+        row = spoon(s, up=(0, np.sin(tilt), np.cos(tilt)), distance=0.3)
+        up = -np.asarray(scenes.geometry.matrix(jnp.asarray(row["tool_quat"][0])), float)[:, 0]
+        a, before, tipped, spilled = np.zeros(3), np.zeros(3), 0, False
+        for v in velocity:
+            a += (1 - np.exp(-DT / 0.05)) * ((v - before) / DT - a)
+            before, felt = v, np.array([0, 0, 9.81]) + a
+            angle = np.arccos(up @ felt / np.linalg.norm(felt))
+            tipped += angle > np.pi / 4
+            spilled |= tipped * DT > 0.1 or angle > np.pi / 2
+        got = play(env, repeated(row, n) | {"tool_vel": velocity})
+        assert bool(got.spilled) == spilled, case
+        lost.append(spilled)
+    assert 2 < sum(lost) < 10
+    once = repeated(spoon(s, up=(0, 1.0, 0.5)), 1)  # over 60° at the mouth, where it may
+    assert not play(env, once).spilled
+    assert play(env, repeated(spoon(s, up=(0, 0, -1.0)), 1)).spilled  # turned over anywhere
+    fed = play(env, repeated(spoon(s), 63))
+    assert env.task.success(play(env, repeated(spoon(s, up=(0, 0, -1.0)), 5), fed))  # it is eaten
+
+
+# -- tooth brushing --------------------------------------------------------------------------------
+
+
+def test_shaking_head_and_brush_together_brushes_nothing():
+    """Both move at 4.6 Hz, the brush by 0.2 m/s in the room and by nothing to the mouth: MjData's own velocities."""
+    env = env_of("tooth_brushing")
+    model = env.model
+    qpos = model.key("start").qpos.copy()
+    data = mujoco.MjData(model)
+    data.qpos = qpos
+    mujoco.mj_forward(model, data)
+    jac = np.zeros((3, model.nv))
+    mujoco.mj_jacSite(model, data, jac, None, model.site("tool_tip").id)
+    robot, yaw = scenes.qpos_ids(model, scenes.PANDA.joints), model.joint("neck_yaw").qposadr[0]
+    tip, body, rows = data.site("tool_tip").xpos, data.body("head"), []
+    for together in (True, False):
+        velocity = np.zeros(model.nv)
+        velocity[yaw] = 1.0
+        if together:  # the tip moves as a point fixed to the head would
+            spin = data.xaxis[model.joint("neck_yaw").id] * velocity[yaw]
+            velocity[robot] = np.linalg.pinv(jac[:, robot]) @ np.cross(spin, tip - body.xpos)
+        rows.append(velocity)
+    force = {"tool_force": np.array([0, 1.0, 0]), "tool_force_head": np.array([0, 1.0, 0])}
+    s = sensors(env, [qpos, qpos], rows, force)
+    assert np.linalg.norm(s["tool_vel"][0]) > 0.03 and np.linalg.norm(s["tool_vel_head"][0]) < 1e-9
+    face = np.asarray(scenes.geometry.matrix(jnp.asarray(s["mouth_quat"][0])), float)
+    quat = np.empty(4)
+    mujoco.mju_mat2Quat(quat, face.ravel())
+    at_mouth = {"tool_quat": np.repeat(quat[None], 2, 0), "tool_pos": s["mouth_pos"] + 0.01 * face[:, 0]}
+    s |= at_mouth | {"tool_vel_head": s["tool_vel_head"] * [[1.0], [0.1 / np.linalg.norm(s["tool_vel_head"][1])]]}
+    assert play(env, {name: x[:1] for name, x in s.items()}).brush_seconds == 0
+    assert play(env, {name: x[1:] for name, x in s.items()}).brush_seconds > 0
+    back = np.empty(4)
+    mujoco.mju_mat2Quat(back, (face * [-1, -1, 1]).ravel())  # bristles away from the face
+    assert play(env, {name: x[1:] for name, x in s.items()} | {"tool_quat": back[None]}).brush_seconds == 0
