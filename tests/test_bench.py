@@ -1,13 +1,17 @@
 """What is measured, in which order, and that a later call goes on."""
 
 import json
+import timeit
 
+import mujoco
 import pytest
 
+import assistax
 from assistax.cli.bench import bench
 from assistax.diagnostics import measurements
 from assistax.diagnostics.bench import bench_training
 from assistax.diagnostics.measurements import MANY_SEEDS, Measurement, measure, newest_tasks, plan
+from assistax.diagnostics.profile import STAGES, stage_times
 from assistax.errors import UsageError
 
 
@@ -99,6 +103,9 @@ def test_what_was_asked_for_is_shown_whatever_the_file_holds_beside_it(tmp_path,
         ({"task": "feeding", "engine": "steam"}, "engine"),
         ({"task": "feeding", "num_envs": (0,)}, "num_envs must be 1 or more"),
         ({"task": "feeding", "train": True, "preset": "best"}, "preset"),
+        ({"task": "feeding", "train": True, "profile": True}, "--profile is of one task at one size"),
+        ({"task": "feeding", "num_envs": (1, 2), "profile": True}, "--profile is of one task at one size"),
+        ({"all": True, "profile": True}, "--profile is of one task at one size"),
     ],
 )
 def test_malformed_calls_are_one_line(asked, words):
@@ -119,3 +126,20 @@ def test_training_is_timed_with_its_seeds():
     seconds = report["collect_s"] + report["update_s"]
     assert report["training_steps_per_s"] == pytest.approx(2 * 4 * 64 / seconds, rel=0.5)
     assert report["rollout_steps_per_s"] > report["training_steps_per_s"]
+
+
+def test_a_profile_adds_up_to_the_step(capsys):
+    """Stage by stage what mj_step does by itself, timed apart; and the parts of a control step."""
+    env = assistax.make("scratch", engine="mujoco", episode_length=64)
+    stages, contacts, constraints = stage_times(env)
+    assert set(stages) == {*STAGES, "integration"} and min(stages.values()) >= 0.0
+    data = mujoco.MjData(env.model)
+    mujoco.mj_resetDataKeyframe(env.model, data, 0)
+    mujoco.mj_step(env.model, data)
+    alone = 1e6 * min(timeit.repeat(lambda: mujoco.mj_step(env.model, data), number=20, repeat=20)) / 20
+    assert 0.5 * alone < sum(stages.values()) < 2.5 * alone
+    assert contacts >= 0.0 and constraints > 0.0
+    bench("scratch", profile=True, num_envs=(4,), seconds=0.2, json=True)
+    report = json.loads(capsys.readouterr().out)
+    assert set(report["control_step_us"]) == {"physics", "transfer", "reset", "task"}
+    assert report["physics_step_us"].keys() == stages.keys()

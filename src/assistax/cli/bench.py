@@ -18,6 +18,7 @@ def bench(
     num_envs: Annotated[tuple[Count, ...], arg(metavar="N ...", help_behavior_hint="")] = (),
     seconds: float = 10.0,
     train: Switch = False,
+    profile: Switch = False,
     preset: str = "default",
     budget: Name = None,
     out: File = None,
@@ -28,6 +29,7 @@ def bench(
     For example:
       assistax bench scratch
       assistax bench scratch --num-envs 1 64 1024 --train
+      assistax bench scratch --profile
       assistax bench --all --budget 8m --out results/bench/laptop.json
 
     Args:
@@ -38,6 +40,8 @@ def bench(
         those of the preset.
       seconds: how long to measure each, after compilation.
       train: also time IPPO training.
+      profile: instead of rates, the microseconds of each stage of a physics step and of each part of a control step;
+        of one task, engine mujoco.
       preset: of the training, default or paper.
       budget: begin nothing new after 90s, 8m or 1h.
       out: a JSON file for what is measured, with a figure beside it; a later call makes what it lacks.
@@ -52,6 +56,10 @@ def bench(
     check_seconds(seconds)
     limit = math.inf if budget is None else duration(budget)
     check_out(out)
+    if profile:
+        if task is None or train or out is not None or len(num_envs) > 1:
+            raise UsageError("--profile is of one task at one size, without --all, --train and --out.")
+        return _profile(task, engine, num_envs[0] if num_envs else 1024, seconds, json)
     tasks = newest_tasks() if task is None else [task_spec(task).id]
     wanted = plan(tasks, engine, num_envs if all or num_envs else (1024,), train or all, preset)
     several = len(wanted) > 1 and not json
@@ -66,3 +74,10 @@ def bench(
     elif not several:
         (row,) = (row for row in report["rows"] if wanted[0].is_of(row))
         print_table(row | {name: x for name, x in report.items() if name != "rows"})
+
+
+def _profile(task: str, engine: str, num_envs: int, seconds: float, json: bool) -> None:
+    from assistax.diagnostics.profile import profile
+    from assistax.env import make
+
+    (print_json if json else print_table)(profile(make(task, engine), num_envs, seconds))

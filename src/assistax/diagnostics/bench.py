@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import time
+from functools import partial
 from typing import Any
 
 import jax
@@ -32,9 +33,7 @@ def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
     _, state = jax.block_until_ready(jax.jit(jax.vmap(env.reset))(keys))
     started_s = time.perf_counter() - began
 
-    def act(key):
-        sizes = env.action_sizes.items()
-        return {a: jax.random.uniform(key, (num_envs, n), minval=-1.0, maxval=1.0) for a, n in sizes}
+    act = partial(random_actions, env, num_envs)
 
     def with_reset(state, key):
         actions = act(key)
@@ -101,6 +100,12 @@ def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
         "rounds": len(rates["env"]),
         **stamp(),
     }
+
+
+def random_actions(env: Env, num_envs: int, key: jax.Array) -> dict[str, jax.Array]:
+    """By agent, [num_envs, n] in [-1, 1]."""
+    sizes = env.action_sizes.items()
+    return {agent: jax.random.uniform(key, (num_envs, n), minval=-1.0, maxval=1.0) for agent, n in sizes}
 
 
 def _used(obs, reward, info):
