@@ -18,7 +18,7 @@ FLOORS = (
     ("physics",),
     ("human",),
     ("tasks",),
-    ("episode",),
+    ("episode", "senses"),
     ("env",),
     ("policies",),
     ("learning",),

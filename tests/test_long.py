@@ -68,7 +68,7 @@ def test_engines_agree_in_contact_with_everyone(in_contact, name, steps):
     A pad may be about to tip over this edge or that one: there the C engine parts from itself too.
     """
     env, physics, ctrl = in_contact
-    places = [env._slices[f"{force}_force"] for force in ("tool", "robot")]
+    places = [env.sensors.places[f"{force}_force"] for force in ("tool", "robot")]
 
     def run(engine, starts):
         """qpos [T, starts, people, nq] and forces [2, T, starts, people]."""

@@ -25,6 +25,7 @@ from assistax.physics import UNSTABLE, PhysicsState, make_engine
 from assistax.physics.batching import map_where, whole_batch
 from assistax.pytree import pytree
 from assistax.scenes.geometry import norm
+from assistax.senses import Blocks, Senses, joined
 from assistax.settings import check_count, check_measures, with_settings
 from assistax.spaces import Box
 from assistax.tasks import task_spec
@@ -114,16 +115,10 @@ class Env:
         self.task_config = task_config or self.spec.config
         check_measures("task_config", self.task_config)
         self.task = self.spec.task(self.task_config, model, self.dt)
-        self._slices = scenes.sensor_slices(model)
         driven = scene.human_driven
         self._body = disability.Body(model, driven)
         self.action_sizes = {"robot": len(self.robot.joints), "human": len(driven)}
-        self._gathers = {
-            "torque_robot": self._columns("torque_", self.robot.joints),
-            "torque_human": self._columns("torque_", driven),
-        }
-        joints = {"robot": self.robot.joints, "human": scenes.HUMAN_JOINTS, "driven": driven}
-        self._joints = {name: scenes.qpos_ids(model, which) for name, which in joints.items()}
+        self.sensors = Senses(model, self.robot.joints, driven, config.human)
         key = model.key("start")
         movable = np.zeros(model.nq)
         movable[scenes.qpos_ids(model, (*scenes.HUMAN_JOINTS, *self.robot.joints))] = 1.0
@@ -259,20 +254,13 @@ class Env:
 
     def global_obs(self, state: EnvState) -> jax.Array:
         """Everything that either agent sees, once [global_size]: for centralised critics."""
-        return _join(self._blocks(state))
+        return joined(self._blocks(state))
 
     def observation_space(self, agent: str) -> Box:
         return Box((self.observation_sizes[choose("agent", agent, AGENTS)],))
 
     def action_space(self, agent: str) -> Box:
         return Box((self.action_sizes[choose("agent", agent, AGENTS)],), -1.0, 1.0)
-
-    def sensors(self, physics: PhysicsState) -> Sensors:
-        """The named sensors of a state, all of one instant, and its joints, 2 ms later (see PhysicsState)."""
-        s = {name: physics.sensordata[place] for name, place in self._slices.items()}
-        s |= {name: physics.sensordata[columns] for name, columns in self._gathers.items()}
-        s |= {f"theta_{name}": physics.qpos[ids] for name, ids in self._joints.items()}
-        return s | {f"dtheta_{name}": physics.qvel[ids] for name, ids in self._joints.items()}
 
     def metrics(self, state: EnvState) -> dict[str, jax.Array]:
         """Outcome of the episode so far; after its last step, of the whole episode.
@@ -295,9 +283,6 @@ class Env:
         return self.task.markers(self.sensors(state.physics), state.task)
 
     # -- parts ---------------------------------------------------------------------------------
-
-    def _columns(self, prefix: str, joints) -> np.ndarray:
-        return np.array([self._slices[prefix + joint].start for joint in joints])
 
     def _draw(self, key, person: jax.Array | None = None, before: tuple = ()) -> _Start:
         """`before` is the person so far, and whether it stays."""
@@ -391,58 +376,30 @@ class Env:
         by_region = harm.forces(s)
         return harm.advance(by_region, state.harm, self.dt), harm.cost(by_region)
 
-    def _blocks(self, state: EnvState) -> dict[str, jax.Array]:
-        """All observation blocks by name, in the order of the paper's observation table."""
+    def _blocks(self, state: EnvState) -> Blocks:
         s = self.sensors(state.physics)
-        names = ("theta_robot", "dtheta_robot", "tool_pos", "tool_quat", "tool_force")
-        names += ("theta_human", "dtheta_human")
-        blocks = {name: s[name] for name in names} | self.task.observe(s, state.task)
-        if self.config.human.preferring and self.config.human.visibility != "none":
-            blocks["preference"] = preference.vector(state.person.preference)
-        if self.config.human.visibility == "oracle":
-            blocks["body"] = disability.vector(state.person.disability)
-        return blocks
-
-    def _seen_by(self, agent: str, blocks):
-        hidden = set(_HIDDEN[agent])
-        if agent == "robot" and self.config.human.visibility == "human":
-            hidden.add("preference")
-        if agent == "human":
-            hidden.add("body")
-        return {name: block for name, block in blocks.items() if name not in hidden}
+        return self.sensors.blocks(s, self.task.observe(s, state.task), state.person)
 
     def _observe(self, state: EnvState) -> Obs:
         blocks = self._blocks(state)
-        return {agent: _join(self._seen_by(agent, blocks)) for agent in AGENTS}
+        return {agent: joined(self.sensors.seen_by(agent, blocks)) for agent in AGENTS}
 
     def _measure_layouts(self) -> dict[str, dict[str, slice]]:
-        sizes = {}
+        layouts = {}
 
         def trace(key):
             start = self._draw(key)
             blank = jnp.zeros(self.model.nsensordata)
             physics = PhysicsState(start.qpos, start.qvel, start.qvel, blank, jnp.int32(0), {})
             blocks = self._blocks(self._begin(physics, start, jnp.int32(0)))
-            sizes.update({name: block.shape[0] for name, block in blocks.items()})
+            layouts.update({who: self.sensors.layout(who, blocks) for who in (*AGENTS, "global")})
 
         jax.eval_shape(trace, jax.random.key(0))
-        layouts = {}
-        for agent in (*AGENTS, "global"):
-            seen, end = {}, 0
-            for name, size in self._seen_by(agent, sizes).items():
-                seen[name] = slice(end, end + size)
-                end += size
-            layouts[agent] = seen
         return layouts
 
 
 MOVES = ("qpos", "qvel", "qacc_warmstart", "sensordata")  # of a PhysicsState, what a step changes
 _SEED = 1_000_000  # folded into a reset's key for the state's seed; a split into four may be a fold of 0 to 3
-_HIDDEN = {"robot": ("theta_human", "dtheta_human"), "human": ("theta_robot", "dtheta_robot"), "global": ()}
-
-
-def _join(blocks) -> jax.Array:
-    return jnp.concatenate(list(blocks.values()))
 
 
 def make(task: str, engine: str = "auto", **settings) -> Env:
