@@ -201,6 +201,15 @@ for its own implementation on an A100 with 1024 environments. An environment ste
 
 Several trainings at once go faster with a core each, on Linux `taskset -c 0 uv run assistax train …`: two of 10 M steps
 side by side took 26 minutes, where one with both cores takes 17 (measured once, not kept).
+
+## What a physics step is made of
+
+Shares of MuJoCo's stages in a physics step with random actions, by `assistax bench TASK --profile`, and how many
+contacts and constraints there are on average. Finding collisions takes most, though hardly anything touches; of the
+rest the solver, integration (implicit, for the tools' and joints' damping), kinematics and velocities take as much
+each. So no single stage is worth rewriting, and fewer pairs of geoms that may touch are the first thing to try.
+
+{stages}
 """
 MACHINE = """## {hardware}, {engine} engine
 
@@ -242,7 +251,20 @@ def speed(folder: Path, pictures: Path) -> str:
         "simulated seconds",
         "env steps against the A100",
     ]
-    return SPEED_PAGE.format(machines="\n\n".join(machines), others=markdown(head, others))
+    stages = _stages(folder / "profile" / f"{TWO_CORES}.json")
+    return SPEED_PAGE.format(machines="\n\n".join(machines), others=markdown(head, others), stages=stages)
+
+
+def _stages(path: Path) -> str:
+    """A table of the shares of a physics step, by task."""
+    rows = json.loads(path.read_text())["rows"]
+    names = list(rows[0]["physics_step_us"])
+    cells = []
+    for row in rows:
+        times = row["physics_step_us"]
+        shares = [f"{times[name] / sum(times.values()):.0%}" for name in names]
+        cells.append([row["task"], *shares, f"{row['contacts']:.1f}", f"{row['constraints']:.1f}"])
+    return markdown(["task", *names, "contacts", "constraints"], cells)
 
 
 def _machine(report) -> dict[str, str]:
