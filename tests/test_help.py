@@ -65,8 +65,8 @@ def test_itches_are_uniform_over_all_of_the_skin_between_shoulder_and_wrist():
 
 
 def around(env, s, body, point):
-    """The outward normal [3] at a place [3] on the skin of a limb, in world axes, and the way to it from the tool in m:
-    straight, and then around the limb from the side that the tool is on."""
+    """The outward normal [3] at a point [3] of the skin of a limb, the way to it from the tool in m, straight and then
+    around the limb from the side that the tool is on, and where the point is; in world axes."""
     data = mujoco.MjData(env.model)
     data.qpos = env.model.key("start").qpos
     mujoco.mj_forward(env.model, data)
@@ -76,20 +76,27 @@ def around(env, s, body, point):
     normal, tool = (flat @ (x - limb.centre) for x in (point, frame.T @ (s["tool_pos"][0] - body.xpos)))
     angle = np.arccos(np.clip(normal @ tool / np.linalg.norm(normal) / np.linalg.norm(tool), -1, 1))
     straight = np.linalg.norm(s["tool_pos"][0] - body.xpos - frame @ point)
-    return frame @ normal / limb.radius, straight + limb.radius * angle
+    return frame @ normal / limb.radius, straight + limb.radius * angle, body.xpos + frame @ point
+
+
+def facing(env, normal, place):
+    """How far a normal [3] at a place [3] points to the robot and 45° up, from 0 to 1."""
+    level = (np.array(env.spec.scene.robot_pos) - place)[:2]
+    return 0.5 + 0.5 * normal @ np.append(level / np.linalg.norm(level), 1.0) / np.sqrt(2.0)
 
 
 @pytest.mark.parametrize("place", range(6))
-def test_the_side_of_an_itch_is_seen_and_reach_leads_around_the_arm_to_it(place):
+def test_the_side_of_an_itch_is_seen_and_reach_leads_around_the_arm_and_asks_to_turn_it(place):
     env, s = at_rest("scratch")
     state = env.task.reset(jax.random.key(place))
     body = ("right_upper_arm", "right_forearm")[int(state.segment)]
     off = np.random.default_rng(place).normal(size=3) * 0.2
     s["tool_pos"] = s["tool_pos"] * 0.0 + np.asarray(s[f"{body.removeprefix('right_')}_pos"]) + off
-    normal, way = around(env, s, body, np.asarray(state.itch, float))
+    normal, way, itch = around(env, s, body, np.asarray(state.itch, float))
     now = {name: jnp.asarray(x[0], jnp.float32) for name, x in s.items()}
     np.testing.assert_allclose(env.task.observe(now, state)["target_normal"], normal, atol=1e-5)
-    assert float(env.task.reward_terms(now, state)["reach"]) == pytest.approx(np.exp(-(way**2) / 0.1), abs=1e-5)
+    paid = np.exp(-(way**2) / 0.1) * facing(env, normal, itch)
+    assert float(env.task.reward_terms(now, state)["reach"]) == pytest.approx(paid, abs=1e-5)
 
 
 def test_the_other_side_of_the_arm_is_paid_much_less_for_being_near():
@@ -105,7 +112,7 @@ def test_the_other_side_of_the_arm_is_paid_much_less_for_being_near():
         s["tool_pos"] = s["upper_arm_pos"] + frame @ (limb.centre + side * limb.radius * normal)
         now = {name: jnp.asarray(x[0], jnp.float32) for name, x in s.items()}
         paid.append(float(env.task.reward_terms(now, state)["reach"]))
-    assert paid[0] == pytest.approx(1.0, abs=1e-4) and paid[1] < 0.7
+    assert paid[1] < 0.7 * paid[0]
 
 
 # -- bed bath --------------------------------------------------------------------------------------
@@ -118,12 +125,15 @@ def test_the_nearest_dirt_is_the_nearest_around_the_arm(place):
     s["tool_pos"] = s["forearm_pos"] + np.random.default_rng(place).normal(size=3) * 0.1
     bodies = ["right_upper_arm"] * 29 + ["right_forearm"] * 23
     points = np.concatenate([np.asarray(x, float) for x in env.task.points])
-    normals, ways = zip(*(around(env, s, body, point) for body, point in zip(bodies, points, strict=True)), strict=True)
+    found = [around(env, s, body, point) for body, point in zip(bodies, points, strict=True)]
+    normals, ways, places = zip(*found, strict=True)
     nearest = np.where(np.asarray(state.visited), np.inf, ways).argmin()
     now = {name: jnp.asarray(x[0], jnp.float32) for name, x in s.items()}
     np.testing.assert_allclose(env.task.observe(now, state)["target_normal"], normals[nearest], atol=1e-5)
-    reach = env.task.reward_terms(now, state)["reach"]
-    assert float(reach) == pytest.approx(np.exp(-(ways[nearest] ** 2) / 0.1), abs=1e-5)
+    side = np.mean([normal for normal, clean in zip(normals, state.visited, strict=True) if not clean], 0)
+    np.testing.assert_allclose(env.task.observe(now, state)["dirty_side"], side, atol=1e-5)
+    paid = np.exp(-(ways[nearest] ** 2) / 0.1) * facing(env, side, places[nearest])
+    assert float(env.task.reward_terms(now, state)["reach"]) == pytest.approx(paid, abs=1e-5)
 
 
 def dirty_all_over(env):

@@ -17,7 +17,7 @@ from assistax.scenes import BED_VIEW, RIGHT_ARM, SceneConfig, geometry, limited
 from assistax.scenes.geometry import norm
 from assistax.tasks.base import DONE, NOTHING_TO_DO, TO_DO, Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import reach
+from assistax.tasks.rewards import exposed, reach
 
 SEGMENTS = ("upper_arm", "forearm")
 ROWS = (9, 8, 9)  # points along the limb, in three rows that are half a step apart: 26 per segment
@@ -33,7 +33,7 @@ class BedBathConfig:
     speed: tuple[float, float] = (0.0, 1e3)  # m/s, ... at a speed within these,
     wash_seconds: float = 0.0  # s, and is done, once for all, after so long in all; 0: at once, merely visited
     wipe_scale: float = 3.0  # per newly visited point; more if fewer than 52 are dirty, the same in all
-    sided: bool = False  # whether observations tell on which side the target is, and reach leads around the limb to it
+    sided: bool = False  # whether observations tell on which side dirt is, and reach asks to turn it to the robot
     # Where the points are: all around the arm, or between fractions of the segment's length from its start, and up to
     # this angle to either side of up.
     around: bool = False
@@ -57,6 +57,7 @@ class BedBath:
 
     def __init__(self, config: BedBathConfig, model: mujoco.MjModel, dt: float):
         self.config, self.dt = config, dt
+        self._robot = jnp.array(model.body("robot").pos)
         bodies = [f"right_{segment}" for segment in SEGMENTS]
         limbs = [(geometry.capsule(model, body), body) for body in bodies]
         ups = [geometry.upward(model, body, limb) for limb, body in limbs]
@@ -136,6 +137,10 @@ class BedBath:
         nearest = jnp.argmin(jnp.where(skip, jnp.inf, ways))
         return vectors[nearest], normals[nearest], ways[nearest]
 
+    def _dirty_side(self, s: Sensors, state: BedBathState):
+        """Mean [3] of the unit vectors out of the skin at the points not yet visited, in world axes; 0 at the end."""
+        return ~state.visited @ self.out_of_skin(s) / jnp.maximum((~state.visited).sum(), 1)
+
     def observe(self, s: Sensors, state: BedBathState):
         vector, normal, _ = self._target(s, state)
         blocks = {
@@ -144,11 +149,18 @@ class BedBath:
             "target_vector": vector,
             "target_distance": norm(vector)[None],
         }
-        return blocks | {"target_normal": normal} if self.config.sided else blocks
+        if self.config.sided:
+            blocks |= {"target_normal": normal, "dirty_side": self._dirty_side(s, state)}
+        return blocks
 
     def reward_terms(self, s: Sensors, state: BedBathState):
+        to_target, _, way = self._target(s, state)
+        reached = reach(way)
+        if self.config.sided:
+            facing = exposed(self._dirty_side(s, state), s["tool_pos"] + to_target, self._robot)
+            reached *= jnp.where(state.visited.all(), 1.0, facing)
         return {
-            "reach": reach(self._target(s, state)[2]),
+            "reach": reached,
             "wipe": self.config.wipe_scale * state.newly * (len(self.segment) / state.dirty.sum()),
         }
 

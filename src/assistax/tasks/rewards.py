@@ -24,6 +24,13 @@ def reach(distance: jax.Array) -> jax.Array:
     return jnp.exp(-jnp.square(distance) / SIGMA)
 
 
+def exposed(normal: jax.Array, place: jax.Array, robot: jax.Array) -> jax.Array:
+    """How far skin at `place` [3] m faces a robot that stands at `robot` [3] m: from 0 to 1, 1 when its outward normal
+    points to the robot and 45° up, which is from where an arm comes. A mean of normals does, too."""
+    toward = unit(unit((robot - place) * LEVEL) + UP)
+    return 0.5 * (1.0 + normal @ toward)
+
+
 def envelope(distance: jax.Array) -> jax.Array:
     """exp(−3d), distance d in m: half of r_te, and what r_a is multiplied with."""
     return jnp.exp(-DECAY * distance)
