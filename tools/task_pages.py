@@ -37,6 +37,7 @@ BLOCKS = {  # by block of an observation its unit and what it is
     "target_distance": ("m", "its length"),
     "target_normal": ("", "direction out of the skin at the target, a unit vector"),
     "target_rotation": ("", "orientation of the target as the tool sees it, a matrix row by row"),
+    "dirty_side": ("", "mean of the directions out of the skin where it is still dirty"),
     "waist_vector": ("m", "from the middle of the forearm to the waist target"),
     "waist_distance": ("m", "its length"),
     "target_velocity": ("m/s", "velocity of the target"),

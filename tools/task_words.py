@@ -59,14 +59,16 @@ TASKS = {
         ),
         "a stick; the tool point is its end",
         {
-            "reach": Term("exp(−(d + a)²/σ)", lambda c, steps: steps),
+            "reach": Term("exp(−(d + a)²/σ) · e", lambda c, steps: steps),
             "scratch": Term(
                 "{c.scratch_scale:g} · [helps] · B(v / {c.speed:g}) · B(f / {c.force:g})",
                 lambda c, steps: steps * c.scratch_scale * B_LARGEST**2,
             ),
         },
         "d: distance from the tool point to the itch (m); a: length of the arc around the segment from the side that "
-        "the tool point is on to that of the itch (m); σ = {r.SIGMA:g} m²; v: speed of the tool point as the "
+        "the tool point is on to that of the itch (m); σ = {r.SIGMA:g} m²; e: how far the skin there faces the robot, "
+        "from 0 to 1: (1 + n·b)/2 for its outward normal n and the direction b from the itch to the robot's base, "
+        "level, and 45° up; v: speed of the tool point as the "
         "segment with the itch sees it (m/s); f: force of the tool on that segment (N); {B}",
         "the tool point is within {c.scratch_distance:g} m of the itch and the tool touches the segment (upper arm "
         "or forearm) that the itch is on",
@@ -99,14 +101,15 @@ TASKS = {
         ),
         "a flat pad; the tool point is its middle",
         {
-            "reach": Term("exp(−(d + a)²/σ)", lambda c, steps: steps),
+            "reach": Term("exp(−(d + a)²/σ) · e", lambda c, steps: steps),
             "wipe": Term(
                 "{c.wipe_scale:g} · (52 / n) · points washed in this step", lambda c, steps: 52.0 * c.wipe_scale
             ),
         },
         "d: distance from the tool point to the point still to be washed that is nearest (m), and a: length of the arc "
         "around its segment from the side that the tool point is on to that of the point (m), nearest by their sum; "
-        "σ = {r.SIGMA:g} m²; n: how many "
+        "σ = {r.SIGMA:g} m²; e: how far the dirt faces the robot, from 0 to 1: (1 + n̄·b)/2 for the mean n̄ of the "
+        "outward normals where it is still dirty and the direction b to the robot's base, level, and 45° up; n: how many "
         "of the 52 points were dirty at the start. When the last one is washed, that step pays the reach term for "
         "all steps that are left, too, so that finishing early costs nothing",
         "the pad's middle is within {c.near:g} m of a dirty point and presses on its segment with more than "
