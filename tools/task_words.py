@@ -107,8 +107,8 @@ TASKS = {
             ),
         },
         "d: distance from the tool point to the point still to be washed that is nearest (m), and a: length of the arc "
-        "around its segment from the side that the tool point is on to that of the point (m), nearest by their sum; "
-        "σ = {r.SIGMA:g} m²; e: how far the dirt faces the robot, from 0 to 1: (1 + n̄·b)/2 for the mean n̄ of the "
+        "around its segment from the side that the tool point is on to that of the point (m), nearest by their sum; σ = "
+        "{r.SIGMA:g} m²; e: how far the dirt faces the robot, from 0 to 1: (1 + n̄·b)/2 for the mean n̄ of the "
         "outward normals where it is still dirty and the direction b to the robot's base, level, and 45° up; n: how many "
         "of the 52 points were dirty at the start. When the last one is washed, that step pays the reach term for "
         "all steps that are left, too, so that finishing early costs nothing",
