@@ -17,6 +17,7 @@ from assistax.results.stored import Experiment, by_method, check_comparable, dif
 from assistax.tasks import stored_task, task_spec
 
 REFERENCES = Path("results/experts.json")  # what scripted policies reach, written by `tools/pages.py`
+LEARNED = 0.9  # of the episodes a success, in an evaluation while training
 SCALES = {  # of a return
     "bound": "return / paper's bound",
     "expert": "return / expert's return",
@@ -113,11 +114,31 @@ def describe(experiment: Experiment, records: Sequence[dict[str, Any]]) -> dict[
     if experiment.preferring:
         row |= {name: estimate([experiment.final(name, "mean")]) for name in ("task_return", "preference_return")}
     row["success"] = estimate([experiment.final("success_rate")], least=0.0, most=1.0)
+    if experiment.has("safe_success_rate"):
+        row["safe_success"] = estimate([experiment.final("safe_success_rate")], least=0.0, most=1.0)
+    if experiment.has("outcomes", "cost"):
+        row["cost"] = estimate([experiment.final("outcomes", "cost", "mean")], least=0.0)
+    row["learned"] = learned(experiment)
     row["force_in_contact"] = estimate([experiment.final("force", "mean_in_contact")], least=0.0)
     row["peak_force"] = estimate([experiment.final("outcomes", "peak_force", "mean")], least=0.0)
     about = {name: [run.origin(name) for run in runs] for name in ("commit", "hardware")}
     about["versions"] = [run.stamp.get("versions") for run in runs]
     return row | {"settings": runs[0].settings, "runs": [str(run.folder) for run in runs], **about}
+
+
+def learned(experiment: Experiment) -> list[dict[str, float]]:
+    """By seed that came there, when evaluations first had LEARNED of success: "steps", and "minutes" of training, of
+    which the seeds of a run have equal shares."""
+    found = []
+    for run in experiment.runs:
+        seconds = sum(time for name, time in run.summary.get("seconds", {}).items() if name != "evaluation")
+        trained = len(run.seeds) * run.summary.get("steps", experiment.method.steps)
+        for seed in run.seeds:
+            rows = [row for row in run.rows("evaluations") if row["seed"] == seed]
+            steps = [row["steps"] for row in rows if np.mean(row["episodes"].get("success", 0.0)) >= LEARNED]
+            if steps:
+                found.append({"steps": min(steps), "minutes": seconds / 60.0 * min(steps) / trained})
+    return found
 
 
 def aggregates(found: Sequence[Experiment], records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -193,16 +214,20 @@ def tables(results: dict[str, Any]) -> list[Table]:
     rows = results["experiments"]
     head = ["task", *_METHOD, "seeds", "return [95 %]", "of the bound", "of the expert"]
     apart = [name for name in ("task_return", "preference_return") if any(name in row for row in rows)]
-    head += [name.replace("_", " ") for name in apart] + ["success", "force in contact, N", "peak force, N"]
+    head += [name.replace("_", " ") for name in apart] + ["success"]
+    harm = [name for name in ("safe_success", "cost") if any(name in row for row in rows)]
+    head += [name.replace("_", " ") for name in harm] + ["force in contact, N", "peak force, N"]
+    head += [f"{LEARNED:.0%} at, M steps", "minutes to it"]
     cells = []
     for row in rows:
         n = len(row["seeds"])
         fractions = [_percent(row[f"of_{kind}"]) or "–" for kind in ("bound", "expert")]
         cell = [row["task"], *_method(row), str(n), _estimate(row["return"], n), *fractions]
         cell += [_estimate(row.get(name), n) for name in apart] + [_estimate(row["success"], n, _percent)]
-        cells.append(
-            [*cell, *(_estimate(row[name], n, "{:.1f}".format) for name in ("force_in_contact", "peak_force"))]
-        )
+        words = {"safe_success": _percent, "cost": "{:.1f}".format}
+        cell += [_estimate(row.get(name), n, words[name]) for name in harm]
+        cell += [_estimate(row[name], n, "{:.1f}".format) for name in ("force_in_contact", "peak_force")]
+        cells.append([*cell, _median(row["learned"], "steps", 1e-6, n), _median(row["learned"], "minutes", 1.0, n)])
     found.append((head, cells))
     if rows := results["aggregates"]:
         head = [
@@ -250,6 +275,14 @@ def _name(method: dict[str, Any]) -> str:
 
 def _seeds(numbers: Sequence[int]) -> str:
     return "–".join(str(n) for n in sorted({min(numbers), max(numbers)}))
+
+
+def _median(values: list[dict[str, float]], name: str, unit: float, seeds: int) -> str:
+    """Of the seeds that came there, and how many did if not all."""
+    if not values:
+        return "–"
+    some = f" ({len(values)} of {seeds})" if len(values) < seeds else ""
+    return f"{unit * float(np.median([value[name] for value in values])):.1f}{some}"
 
 
 def _percent(value: float | None) -> str:

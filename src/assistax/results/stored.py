@@ -158,6 +158,13 @@ class Experiment:
                 values.append(value)
         return np.array(values, np.float64)
 
+    def has(self, *names: str) -> bool:
+        """Whether every run's last evaluation has that, see `final`."""
+        values = [value for run in self.runs for value in run.summary.get("evaluation", ())]
+        for name in names:
+            values = [value.get(name, {}) for value in values]
+        return bool(values) and all(value != {} for value in values)
+
     @property
     def name(self) -> str:
         """For messages."""
