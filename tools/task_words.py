@@ -59,16 +59,15 @@ TASKS = {
         ),
         "a stick; the tool point is its end",
         {
-            "reach": Term("exp(−(d + a)²/σ) · e", lambda c, steps: steps),
+            "reach": Term("exp(−(d + a)²/σ)", lambda c, steps: steps),
             "scratch": Term(
                 "{c.scratch_scale:g} · [helps] · B(v / {c.speed:g}) · B(f / {c.force:g})",
                 lambda c, steps: steps * c.scratch_scale * B_LARGEST**2,
             ),
         },
         "d: distance from the tool point to the itch (m); a: length of the arc around the segment from the side that "
-        "the tool point is on to that of the itch (m); σ = {r.SIGMA:g} m²; e: how far the skin there faces the robot, "
-        "from 0 to 1: (1 + n·b)/2 for its outward normal n and the direction b from the itch to the robot's base, "
-        "level, and 45° up; v: speed of the tool point as the "
+        "the tool point is on to that of the itch (m); σ = {r.SIGMA:g} m²; "
+        "v: speed of the tool point as the "
         "segment with the itch sees it (m/s); f: force of the tool on that segment (N); {B}",
         "the tool point is within {c.scratch_distance:g} m of the itch and the tool touches the segment (upper arm "
         "or forearm) that the itch is on",

@@ -17,7 +17,7 @@ from assistax.scenes import RIGHT_ARM, SceneConfig, geometry, limited
 from assistax.scenes.geometry import norm
 from assistax.tasks.base import Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import boltzmann, exposed, reach
+from assistax.tasks.rewards import boltzmann, reach
 
 SEGMENTS = ("upper_arm", "forearm")
 TOUCHING = 1e-3  # N, a contact; 0 up to rounding
@@ -30,7 +30,7 @@ class ScratchConfig:
     force: float = 3.0  # N, f* of the scratch term
     scratch_scale: float = 4.0  # of the scratch term
     pay_help_only: bool = False  # whether the scratch term pays only where it helps, or wherever the tool is near
-    sided: bool = False  # whether observations tell on which side it itches, and reach asks to turn it to the robot
+    sided: bool = False  # whether observations tell on which side it itches, and reach leads around the limb to it
     # Where an itch can be: between these fractions of the segment's half-length, and within this
     # angle of the side that faces away from the trunk.
     height: tuple[float, float] = (-0.8, 0.8)
@@ -57,7 +57,6 @@ class Scratch:
     def __init__(self, config: ScratchConfig, model: mujoco.MjModel, dt: float):
         self.config, self.dt = config, dt
         capsules = [geometry.capsule(model, f"right_{segment}") for segment in SEGMENTS]
-        self._robot = jnp.array(model.body("robot").pos)
         self._centre = jnp.array([c.centre for c in capsules])
         self._axis = jnp.array([c.axis for c in capsules])
         self._length = jnp.array([c.half_length for c in capsules])
@@ -119,9 +118,8 @@ class Scratch:
         distance = norm(to_itch)
         reached = reach(distance)
         if c.sided:
-            itch, normal, axis = self.skin(s, state)
-            around = geometry.arc(to_itch, normal, axis, self._radius[state.segment])
-            reached = reach(distance + around) * exposed(normal, itch, self._robot)
+            around = geometry.arc(to_itch, *self.skin(s, state)[1:], self._radius[state.segment])
+            reached = reach(distance + around)
         speed, force = self.tool_speed(s, state), norm(self._on_segment(s, state, tool_force))
         moving, pressing = boltzmann(speed / c.speed), boltzmann(force / c.force)
         paid = self.helping(s, state) if c.pay_help_only else distance < c.near
