@@ -302,7 +302,17 @@ RESULTS_PAGE = """# Trained teams
 
 Returns and success over the evaluation seeds at the end of training, deterministic, with 95 % intervals over training
 seeds; a row with one seed has none. Written from `results/` by `python tools/pages.py results`;
-[results/README.md](../results/README.md) tells what these teams do.
+[findings.md](findings.md) tells what these teams do.
+
+## Version 1
+
+{newest}
+
+{remarks_newest}
+
+![Learning curves of version 1](images/learning_curves_version1.png)
+
+## Version 0, the paper's
 
 {tables}
 
@@ -316,7 +326,7 @@ Longer runs by themselves:
 
 The curves are of those that were evaluated while they trained, too.
 
-## Cross-play
+### Cross-play
 
 Return, and success in brackets, when the robot of one team (row) meets the person of another (column);
 [findings.md](findings.md#who-can-work-with-whom) tells what that says. Self-play are the pairs that belong together.
@@ -335,12 +345,18 @@ def results(folder: Path, pictures: Path) -> str:
     for name, long in {"learning_curves": False, "learning_curves_long": True}.items():
         shown = [e for e in evaluated if (e.method.steps > SHORT) == long]
         save(learning_curves(shown, references, source="evaluation"), pictures / f"{name}.png")
+    ours = experiments(find_runs((folder / "version1",)))
+    newest = report(ours, references, compare=False)
+    shown = [e for e in ours if all(run.rows("evaluations") for run in e.runs)]
+    save(learning_curves(shown, references, source="evaluation"), pictures / "learning_curves_version1.png")
     files = [folder / "crossplay" / f"{task}.json" for task in BOUNDS]
     meetings = [read_json(path, {str: object}) for path in files if path.exists()]
     return RESULTS_PAGE.format(
+        newest="\n\n".join(markdown(*each) for each in tables(newest)),
+        remarks_newest="\n".join(f"- {remark}" for remark in newest["remarks"]),
         tables="\n\n".join(markdown(*each) for each in tables(results)),
         remarks="\n".join(f"- {remark}" for remark in results["remarks"]),
-        crossplay="\n\n".join(f"### {one['task']}\n\n{markdown(*crossplay.table(one))}" for one in meetings),
+        crossplay="\n\n".join(f"#### {one['task']}\n\n{markdown(*crossplay.table(one))}" for one in meetings),
     )
 
 
