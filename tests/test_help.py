@@ -118,8 +118,10 @@ def test_the_other_side_of_the_arm_is_paid_much_less_for_being_near():
 
 
 @pytest.mark.parametrize("place", range(4))
-def test_the_nearest_dirt_is_the_nearest_around_the_arm(place):
+def test_the_nearest_dirt_is_the_nearest_around_the_arm_and_reach_asks_to_show_it_and_for_a_flat_pad(place):
     env, s = at_rest("bed_bath")
+    turned = np.random.default_rng(place).normal(size=4)
+    s["tool_quat"] = (turned / np.linalg.norm(turned))[None]
     state = env.task.reset(jax.random.key(place))
     s["tool_pos"] = s["forearm_pos"] + np.random.default_rng(place).normal(size=3) * 0.1
     bodies = ["right_upper_arm"] * 29 + ["right_forearm"] * 23
@@ -131,7 +133,10 @@ def test_the_nearest_dirt_is_the_nearest_around_the_arm(place):
     np.testing.assert_allclose(env.task.observe(now, state)["target_normal"], normals[nearest], atol=1e-5)
     side = np.mean([normal for normal, clean in zip(normals, state.visited, strict=True) if not clean], 0)
     np.testing.assert_allclose(env.task.observe(now, state)["dirty_side"], side, atol=1e-5)
-    paid = np.exp(-(ways[nearest] ** 2) / 0.1) * facing(env, side, places[nearest])
+    pad = np.zeros(9)
+    mujoco.mju_quat2Mat(pad, np.asarray(s["tool_quat"][0], float))
+    flat = 0.5 - 0.5 * normals[nearest] @ pad.reshape(3, 3)[:, 2]
+    paid = np.exp(-(ways[nearest] ** 2) / 0.1) * facing(env, side, places[nearest]) * flat
     assert float(env.task.reward_terms(now, state)["reach"]) == pytest.approx(paid, abs=1e-5)
 
 

@@ -17,7 +17,7 @@ from assistax.scenes import BED_VIEW, RIGHT_ARM, SceneConfig, geometry, limited
 from assistax.scenes.geometry import norm
 from assistax.tasks.base import DONE, NOTHING_TO_DO, TO_DO, Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import exposed, reach
+from assistax.tasks.rewards import exposed, facing, reach
 
 SEGMENTS = ("upper_arm", "forearm")
 ROWS = (9, 8, 9)  # points along the limb, in three rows that are half a step apart: 26 per segment
@@ -154,11 +154,12 @@ class BedBath:
         return blocks
 
     def reward_terms(self, s: Sensors, state: BedBathState):
-        to_target, _, way = self._target(s, state)
+        to_target, normal, way = self._target(s, state)
         reached = reach(way)
         if self.config.sided:
-            facing = exposed(self._dirty_side(s, state), s["tool_pos"] + to_target, self._robot)
-            reached *= jnp.where(state.visited.all(), 1.0, facing)
+            shown = exposed(self._dirty_side(s, state), s["tool_pos"] + to_target, self._robot)
+            flat = facing(-normal, geometry.matrix(s["tool_quat"])[:, 2])
+            reached *= jnp.where(state.visited.all(), 1.0, shown * flat)
         return {
             "reach": reached,
             "wipe": self.config.wipe_scale * state.newly * (len(self.segment) / state.dirty.sum()),
