@@ -81,7 +81,6 @@ def test_a_population_draws_a_member_for_every_episode_and_begins_it_afresh(env,
     ("agent", "who", "words"),
     [
         ("human", "stil", "Did you mean 'still'"),
-        ("human", "trained", "No trained team comes with"),
         ("human", "expert", "Unknown human's policy"),
         ("humman", "still", "Did you mean 'human'"),
         ("human", "nowhere.safetensors", "nowhere.safetensors"),
