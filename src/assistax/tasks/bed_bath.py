@@ -33,7 +33,7 @@ class BedBathConfig:
     speed: tuple[float, float] = (0.0, 1e3)  # m/s, ... at a speed within these,
     wash_seconds: float = 0.0  # s, and is done, once for all, after so long in all; 0: at once, merely visited
     wipe_scale: float = 3.0  # per newly visited point; more if fewer than 52 are dirty, the same in all
-    sided: bool = False  # whether observations tell on which side dirt is, and reach asks to turn it to the robot
+    sided: bool = False  # whether observations tell on which side dirt is, and reach asks to show it and for a flat pad
     # Where the points are: all around the arm, or between fractions of the segment's length from its start, and up to
     # this angle to either side of up.
     around: bool = False
