@@ -144,9 +144,11 @@ print(int(physics.fault))
 def test_position_control_starts_where_the_arm_is():
     env = assistax.make("scratch", engine="mujoco", control="position", reset_noise=0.0)
     zero, full = ({"robot": jnp.full(7, x), "human": jnp.zeros(3)} for x in (0.0, 1.0))
-    np.testing.assert_allclose(env._ctrl(zero)[3:10], env.spec.scene.start, atol=1e-6)
+    np.testing.assert_allclose(env.motors.controls(zero)[3:10], env.spec.scene.start, atol=1e-6)
     for action, end in ((full, 1), ({"robot": -full["robot"], "human": full["human"]}, 0)):
-        np.testing.assert_allclose(env._ctrl(action)[3:10], env.model.actuator_ctrlrange[3:10, end], atol=1e-6)
+        np.testing.assert_allclose(
+            env.motors.controls(action)[3:10], env.model.actuator_ctrlrange[3:10, end], atol=1e-6
+        )
     _, state = env.reset(jax.random.key(0))
     start = state.physics.qpos
     step = jax.jit(env.step_env)

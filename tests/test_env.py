@@ -245,7 +245,7 @@ def test_nested_vmap_equals_flat(scratch):
 
 def test_actions_are_torques_as_documented():
     env = assistax.make("scratch-v0", engine="mujoco", torque_scale=0.3)
-    ctrl = env._ctrl({"robot": jnp.full(7, 5.0), "human": jnp.array([-1.0, 0.0, 0.5])})
+    ctrl = env.motors.controls({"robot": jnp.full(7, 5.0), "human": jnp.array([-1.0, 0.0, 0.5])})
     np.testing.assert_allclose(ctrl, [-1, 0, 0.5, *0.3 * np.array([87, 87, 87, 87, 12, 12, 12])], rtol=1e-6)
 
 

@@ -18,7 +18,7 @@ FLOORS = (
     ("physics",),
     ("human",),
     ("tasks",),
-    ("episode", "senses"),
+    ("episode", "senses", "motors"),
     ("env",),
     ("policies",),
     ("learning",),

@@ -405,7 +405,7 @@ def test_a_share_of_the_action_is_random():
         env = assistax.make("scratch-v1", human={"random_share": share})
         _, state = env.reset(jax.random.key(3))
         actions["human"] = jnp.linspace(-2.0, 1.0, env.action_sizes["human"])
-        found[share] = np.asarray(env._wandering(actions, state)["human"])
+        found[share] = np.asarray(env.motors.wandering(actions, state.phase, state.t * env.dt)["human"])
     wanted = np.clip(np.linspace(-2.0, 1.0, len(found[0.0])), -1.0, 1.0)
     np.testing.assert_allclose(np.clip(found[0.0], -1.0, 1.0), wanted, atol=1e-6)
     np.testing.assert_allclose(found[0.25], 0.75 * wanted + 0.25 * found[1.0], atol=1e-6)

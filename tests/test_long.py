@@ -48,7 +48,7 @@ def in_contact(request):
     def record(carry, key):
         state = carry[0]
         carry, (actions, _, _) = step(carry, key)
-        ctrl = jax.vmap(lambda a, s: env._trembling(env._ctrl(a), s))(actions, state)
+        ctrl = jax.vmap(lambda a, s: env.motors.disturbed(a, s.person, s.phase, s.t * env.dt))(actions, state)
         force = jax.vmap(lambda s: jnp.linalg.norm(env.sensors(s.physics)["tool_force"]))(state)
         return carry, (state.physics, ctrl, force)
 

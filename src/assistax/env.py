@@ -20,7 +20,7 @@ from assistax import scenes
 from assistax.episode import Bookkeeping, Sums
 from assistax.errors import UsageError, choose
 from assistax.human import HumanConfig, HumanProfile, disability, harm, preference
-from assistax.human.wandering import wander
+from assistax.motors import Motors
 from assistax.physics import UNSTABLE, PhysicsState, make_engine
 from assistax.physics.batching import map_where, whole_batch
 from assistax.pytree import pytree
@@ -117,18 +117,13 @@ class Env:
         self.task = self.spec.task(self.task_config, model, self.dt)
         driven = scene.human_driven
         self._body = disability.Body(model, driven)
-        self.action_sizes = {"robot": len(self.robot.joints), "human": len(driven)}
+        self.motors = Motors(model, scene, config.human, config.torque_scale, self.spec.tremor_weakens)
+        self.action_sizes = self.motors.sizes
         self.sensors = Senses(model, self.robot.joints, driven, config.human)
         key = model.key("start")
         movable = np.zeros(model.nq)
         movable[scenes.qpos_ids(model, (*scenes.HUMAN_JOINTS, *self.robot.joints))] = 1.0
         self._start, self._noise = jnp.asarray(key.qpos), jnp.asarray(config.reset_noise * movable)
-        motors = slice(len(driven), len(driven) + len(self.robot.joints))
-        limits = jnp.asarray(model.actuator_ctrlrange[motors])
-        self._brakes = jnp.zeros(model.nu - motors.stop)  # they take no control
-        middle = limits.mean(1) if config.control == "torque" else jnp.asarray(scene.start)
-        scale = config.torque_scale if config.control == "torque" else 1.0
-        self._ctrl_zero, self._ctrl_spans = middle, scale * jnp.stack([middle - limits[:, 0], limits[:, 1] - middle])
         self._staying = config.human.redraw_every > 1
         self._books = Bookkeeping(self.dt, config.force_limit, config.human.preferring)
         self._draw_where = whole_batch(self._draw_batch)
@@ -196,8 +191,9 @@ class Env:
         Nothing is drawn in a step; the key is there so that both have one signature.
         """
         del key
-        actions, fault = self._checked(actions)
-        physics = self.engine.step(state.physics, self._trembling(self._ctrl(self._wandering(actions, state)), state))
+        actions, fault = self.motors.checked(actions)
+        ctrl = self.motors.disturbed(actions, state.person, state.phase, state.t * self.dt)
+        physics = self.engine.step(state.physics, ctrl)
         physics, broken = self._unbroken(physics, state.physics, fault)
         s = self.sensors(physics)
         task = self.task.advance(s, state.task)
@@ -315,24 +311,6 @@ class Env:
         sums, zero = self._books.start(), jnp.float32(0.0)
         return EnvState(physics, start.task, start.person, start.phase, zero, t, start.seed, harmed, sums, met)
 
-    def _checked(self, actions: Obs) -> tuple[Obs, jax.Array]:
-        """Actions as numbers that can be used, and UNSTABLE if some of them could not."""
-        checked, finite = {}, jnp.bool_(True)
-        for agent, size in self.action_sizes.items():
-            if agent not in actions:
-                raise UsageError(f"There is no action for the {agent}; step takes one of each of {', '.join(AGENTS)}.")
-            action = jnp.asarray(actions[agent])
-            if action.shape != (size,) or not (
-                jnp.issubdtype(action.dtype, jnp.floating) or jnp.issubdtype(action.dtype, jnp.integer)
-            ):
-                raise UsageError(
-                    f"The {agent}'s action must be {size} numbers, shape ({size},), not {action.dtype} of shape "
-                    f"{action.shape}; for many environments at once, jax.vmap(env.step)."
-                )
-            good = jnp.isfinite(action)
-            checked[agent], finite = jnp.where(good, action, 0.0), finite & good.all()
-        return checked, jnp.where(finite, 0, UNSTABLE)
-
     @staticmethod
     def _unbroken(physics: PhysicsState, before: PhysicsState, fault) -> tuple[PhysicsState, jax.Array]:
         """The state after a step or, with its fault, the one before if that step was none; and whether so."""
@@ -340,25 +318,6 @@ class Env:
         broken = (fault & UNSTABLE) != 0
         kept = {name: jnp.where(broken, getattr(before, name), getattr(physics, name)) for name in MOVES}
         return dataclasses.replace(physics, **kept, fault=fault), broken
-
-    def _ctrl(self, actions: Obs) -> jax.Array:
-        robot, human = (jnp.clip(actions[agent], -1.0, 1.0) for agent in AGENTS)
-        down, up = self._ctrl_spans
-        return jnp.concatenate([human, self._ctrl_zero + jnp.where(robot < 0, down, up) * robot, self._brakes])
-
-    def _wandering(self, actions: Obs, state: EnvState) -> Obs:
-        if not (share := self.config.human.random_share):
-            return actions
-        random = wander(state.phase, state.t * self.dt)
-        return actions | {"human": (1.0 - share) * jnp.clip(actions["human"], -1.0, 1.0) + share * random}
-
-    def _trembling(self, ctrl, state: EnvState) -> jax.Array:
-        if not self.config.human.disabled:
-            return ctrl
-        person = state.person.disability
-        trembling = disability.tremor(person, state.phase, state.t * self.dt)
-        wanted = ctrl[: trembling.size] * (1.0 if self.spec.tremor_weakens else person.strength)
-        return ctrl.at[: trembling.size].set(wanted + trembling)
 
     def _preference_terms(self, s: Sensors, state: EnvState, task: TaskState, actions: Obs) -> dict[str, jax.Array]:
         if not self.config.human.preferring:

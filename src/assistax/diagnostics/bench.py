@@ -46,7 +46,7 @@ def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
         return state, _used(obs, reward, info)
 
     def engine_only(state, key):
-        ctrl = jax.vmap(env._ctrl)(act(key))
+        ctrl = jax.vmap(env.motors.controls)(act(key))
         physics = jax.vmap(env.engine.step)(state.physics, ctrl)
         return dataclasses.replace(state, physics=physics), physics.fault.max()
 
@@ -132,7 +132,7 @@ class _BareBatch:
         self.batch.bind("sensordata")
         rng = np.random.default_rng(0)
         actions = {a: jnp.asarray(rng.uniform(-1, 1, (steps, num_envs, n))) for a, n in env.action_sizes.items()}
-        self.ctrl = np.asarray(jax.vmap(jax.vmap(env._ctrl))(actions), np.float64)
+        self.ctrl = np.asarray(jax.vmap(jax.vmap(env.motors.controls))(actions), np.float64)
 
     def time(self, state) -> float:
         """Seconds for the steps, from the states of `state`."""

@@ -77,7 +77,7 @@ def stage_times(env: Env) -> tuple[dict[str, float], float, float]:
     for _ in range(POSES):
         for _ in range(every):
             actions = {agent: jnp.asarray(rng.uniform(-1, 1, size)) for agent, size in env.action_sizes.items()}
-            data.ctrl = np.asarray(env._ctrl(actions))
+            data.ctrl = np.asarray(env.motors.controls(actions))
             mujoco.mj_step(model, data, env.engine.substeps)
         mujoco.mj_forward(model, data)
         found.append((data.ncon, data.nefc))
@@ -110,7 +110,7 @@ def _through_jax(env: Env, num_envs: int, seconds: float) -> float:
     @jax.jit
     def run(physics, key):
         def step(physics, key):
-            ctrl = jax.vmap(env._ctrl)(random_actions(env, num_envs, key))
+            ctrl = jax.vmap(env.motors.controls)(random_actions(env, num_envs, key))
             physics = jax.vmap(env.engine.step)(physics, ctrl)
             return dataclasses.replace(physics, overrides=state.physics.overrides), physics.qpos.sum()
 
