@@ -15,6 +15,7 @@ from assistax.learning.algorithms import ALGORITHMS, Algorithm
 from assistax.registry import Registry
 from assistax.tasks import TASKS, TaskSpec
 from assistax.training.configuration import configure
+from assistax.training.sweep import Sweep
 
 SMALL = ["--num-envs", "4", "--set", "evolution.num_steps=8", "env.episode_length=16"]
 
@@ -70,6 +71,23 @@ def test_their_hyperparameters_are_searched(package, tmp_path):
     assistax("sweep", "showing", "--algorithm", "evolution", *search, "--out", folder, *SMALL)
     ranking = json.loads((folder / "ranking.json").read_text())
     assert len(ranking) == 2 and ranking[0]["auc"] >= ranking[1]["auc"] > 0 and (folder / "sweep.png").exists()
+
+
+def test_a_search_without_tuned_settings_compiles_every_configuration(package, tmp_path):
+    algorithm = package["algorithm"]
+
+    class Fixed(algorithm.Evolution):
+        def init(self, key, tuned=None):
+            return {"params": super().init(key).params, "normalizer": {}}
+
+    ALGORITHMS.register(Algorithm("fixed", Fixed, algorithm.EvolutionConfig, group="fixed"))
+    drawn = [{"evolution.noise": 0.1}, {"evolution.noise": 0.2}]
+    for name, programs in {"evolution": [[0, 1]], "fixed": [[0], [1]]}.items():
+        mine = [{key.replace("evolution", name): value for key, value in one.items()} for one in drawn]
+        config = configure("showing", {}, algorithm=name, num_envs=4)
+        sweep = Sweep(tmp_path, config, {f"{name}.noise": "0.05:0.3"}, mine)
+        assert sweep._programs == programs
+    assert [sweep._runs[i].trainer.config.noise for i in (0, 1)] == [0.1, 0.2]
 
 
 def test_a_search_needs_a_name_where_there_is_no_list(package, capsys):

@@ -60,13 +60,16 @@ class Sweep:
     def __init__(self, folder: Path, config: TrainConfig, search: Search, drawn: Sequence[dict[str, Any]]):
         self.folder, self.config, self.search, self.drawn = folder, config, dict(search), list(drawn)
         self.seeds = range(config.seed, config.seed + config.num_seeds)
-        inputs = {f"{config.group}.{name}" for name in tunable(config.method)}
+        floats = {f"{config.group}.{name}" for name in tunable(config.method)}
         check_settings(search)
         for name in search:  # so that a name that does not exist is reported as such, not as one that takes choices
             with_settings(config, {name: _value(config, name)})
-        if compiled_in := set(intervals(search)) - inputs:
-            known = ", ".join(sorted(inputs))
+        if compiled_in := set(intervals(search)) - floats:
+            known = ", ".join(sorted(floats))
             raise UsageError(f"{min(compiled_in)} takes choices like A,B,C; an interval is possible for {known}.")
+        configs = [with_settings(config, settings) for settings in drawn]  # all are checked now
+        first = Run(folder, configs[0])
+        inputs = floats if hasattr(jax.eval_shape(first.trainer.init, jax.random.key(0), {}), "tuned") else set()
         self._inputs = [{n.split(".")[1]: v for n, v in settings.items() if n in inputs} for settings in drawn]
         # Configurations that differ only in inputs are trained by the same program.
         programs: dict[str, list[int]] = {}
@@ -74,8 +77,8 @@ class Sweep:
             constants = {name: value for name, value in settings.items() if name not in inputs}
             programs.setdefault(json.dumps(constants, sort_keys=True), []).append(i)
         self._programs = list(programs.values())
-        configs = [with_settings(config, settings) for settings in drawn]  # all are checked now
-        self._runs = {i: run for mine in self._programs for run in [Run(folder, configs[mine[0]])] for i in mine}
+        runs = {mine[0]: Run(folder, configs[mine[0]]) if mine[0] else first for mine in self._programs}
+        self._runs = {i: runs[mine[0]] for mine in self._programs for i in mine}
 
     @classmethod
     def create(cls, config: TrainConfig, folder: Path, count: int, search: Search) -> "Sweep":
