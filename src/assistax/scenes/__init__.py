@@ -1,23 +1,17 @@
 """What stands where: the MJCF parts, the postures, the scene of every task, and rotations."""
 
-from assistax.scenes.build import (
-    BED_VIEW,
+from assistax.scenes.build import BED_VIEW, MEAL_VIEW, SceneConfig, build, limited, qpos_ids, sensor_slices
+from assistax.scenes.person import (
     HUMAN_JOINTS,
     HUMAN_SPEED,
     HUMAN_TORQUE,
     LEFT_ARM,
-    MEAL_VIEW,
     NECK,
     POSTURES,
     RIGHT_ARM,
     TOUCHED,
     WORKED_ON,
     Posture,
-    SceneConfig,
-    build,
-    limited,
-    qpos_ids,
-    sensor_slices,
 )
 from assistax.scenes.robots import PANDA, ROBOTS, RobotSpec, register_robot
 
