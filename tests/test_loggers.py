@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from assistax.errors import UsageError
-from assistax.training.loggers import Told, check_loggers
+from assistax.training.loggers import Loggers, check_loggers
 
 ROW = {"steps": 64, "seconds": 1.5, "seed": 3, "episodes": 2, "episode": {"return": 5.0, "success": 0.5},
        "losses": {"robot": {"policy": -0.25}}}  # fmt: skip
@@ -32,7 +32,7 @@ def told(folder):
 
 
 def test_tensorboard_has_the_numbers_of_the_rows(tmp_path):
-    with Told(["tensorboard"], tmp_path, [3], 0, {}) as log:
+    with Loggers(["tensorboard"], tmp_path, [3], 0, {}) as log:
         log.rows([ROW, EVALUATION])
     found = told(tmp_path / "tensorboard" / "seed-3")
     assert found == {
@@ -46,7 +46,7 @@ def test_wandb_is_told_offline_and_goes_on_with_the_same_run(tmp_path, monkeypat
     monkeypatch.setenv("WANDB_MODE", "offline")
     monkeypatch.setenv("WANDB_SILENT", "true")
     for steps in (0, 64):
-        with Told(["wandb"], tmp_path, [3], steps, {"ppo.gamma": 0.99}) as log:
+        with Loggers(["wandb"], tmp_path, [3], steps, {"ppo.gamma": 0.99}) as log:
             log.rows([ROW])
     # Not the folders' names: wandb numbers them where two begin within a second.
     parts = [path.name for path in (tmp_path / "wandb").glob("offline-run-*/run-*.wandb")]

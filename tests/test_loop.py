@@ -43,7 +43,7 @@ def test_results_without_a_checkpoint_are_not_overwritten(tmp_path):
         json.dumps({"steps": 64, "seed": 0, "episodes": 0, "episode": {}, "reward": {}}) + "\n"
     )
     before = files(run.folder)
-    with pytest.raises(UsageError, match="no checkpoint to go on from"):
+    with pytest.raises(UsageError, match="no checkpoint to continue from"):
         train(Run.open(run.folder))
     assert files(run.folder) == before
 

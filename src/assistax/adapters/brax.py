@@ -100,7 +100,7 @@ class AgentEnv(BraxEnv):
         names = jax.eval_shape(partial(self._step, "disabled"), state, action)[1].metrics
         return state, self._observed(obs, state), dict.fromkeys(names, jnp.zeros(len(keys)))
 
-    def advance(self, autoreset: str, state: State, action: jax.Array) -> tuple[BatchState, "Told"]:
+    def advance(self, autoreset: str, state: State, action: jax.Array) -> tuple[BatchState, "BraxStep"]:
         """One step of a batch, see `Batch.step`; action [n, action_size]."""
         return self._step(autoreset, dataclasses.replace(state.pipeline_state, key=state.info["key"]), action)
 
@@ -113,7 +113,7 @@ class AgentEnv(BraxEnv):
         ended, info = step.terminated | step.truncated, step.info
         metrics = {name: jnp.where(ended, x, 0.0) for name, x in info["metrics"].items() if name not in _BRAX_COUNTS}
         metrics |= {f"reward/{name}": x for name, x in info["reward_terms"].items()}
-        return after, Told(
+        return after, BraxStep(
             self._observed(step.obs, after),
             jnp.where(info["fault"] == 0, step.reward, jnp.nan),
             jnp.float32(step.terminated),
@@ -125,7 +125,7 @@ class AgentEnv(BraxEnv):
         return jax.vmap(self.assistax.global_obs)(state.env) if self.agent == BOTH else obs[self.agent]
 
 
-class Told(NamedTuple):
+class BraxStep(NamedTuple):
     """What Brax is told of a step, [n] each."""
 
     obs: jax.Array

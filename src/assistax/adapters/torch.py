@@ -91,7 +91,7 @@ class TorchEnv:
     def reset(self, seed: int | None = None, mask: torch.Tensor | None = None):
         """Observations [num_envs, size] of new episodes; with a mask, bool [num_envs], only of those it names.
 
-        The same seed gives the same episodes; without one the draw goes on.
+        The same seed gives the same episodes; without one they are the next ones drawn.
         """
         if seed is not None:
             check_seed("seed", seed)

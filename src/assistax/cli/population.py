@@ -30,7 +30,7 @@ def train(
 ) -> None:
     """Train a population: a team for each person, algorithm and seed.
 
-    Stops and goes on at any moment; what is finished never runs again.
+    Can be stopped and continued at any moment; what is finished never runs again.
 
     For example:
       assistax population train scratch --out populations/scratch --steps 5e6 --seeds 2 --processes 2

@@ -1,4 +1,4 @@
-"""Speeds of several tasks and sizes, in order of worth, within a budget, into one file that later calls go on with."""
+"""Speeds of several tasks and sizes, in order of worth, within a budget, into one file that later calls continue."""
 
 import dataclasses
 import json

@@ -41,8 +41,8 @@ class Overlay:
 
     def __init__(self, camera, filmed: Filmed, spots: Spots):
         self.camera, self.filmed, self.spots = camera, filmed, spots
-        said = [line for i in range(0, len(filmed.qpos), 10) for line in lines(filmed, i)]
-        self.font = fitting(said, FINER * camera.width, FINER * camera.height)
+        all_lines = [line for i in range(0, len(filmed.qpos), 10) for line in lines(filmed, i)]
+        self.font = fitting(all_lines, FINER * camera.width, FINER * camera.height)
 
     def picture(self, i: int) -> np.ndarray:
         """Pixels [height, width, 3] uint8 of control step i."""
@@ -130,10 +130,10 @@ def outcome(name: str, value: float) -> str:
     """ "scratch_seconds" as "scratched 1.2 s", "fraction_visited" as "washed 45 %"; nothing where there is none."""
     words = name.split("_")
     unit = next((unit for unit in ("seconds", "fraction") if unit in words), None)
-    said = " ".join(IN_WORDS.get(word, word) for word in words if word != unit)
+    text = " ".join(IN_WORDS.get(word, word) for word in words if word != unit)
     if unit is None:
-        return "" if not value else said if value == 1 else f"{said} {value:g}"
-    return f"{said} {value:.1f} s" if unit == "seconds" else f"{said} {100 * value:.0f} %"
+        return "" if not value else text if value == 1 else f"{text} {value:g}"
+    return f"{text} {value:.1f} s" if unit == "seconds" else f"{text} {100 * value:.0f} %"
 
 
 def fitting(lines: list[Line], width: float, height: float) -> ImageFont.FreeTypeFont:

@@ -70,7 +70,7 @@ def drive(
       Whether all are finished; False after Ctrl-C, when the workers have saved.
 
     Raises:
-      UsageError: see `Executor.room`; or jobs failed, which is said when all others are finished.
+      UsageError: see `Executor.room`; or jobs failed, which is reported when all others are finished.
     """
     known: set[str] = set()
     before = {name: len(paths) for name, paths in claims(folder).items()}
@@ -124,6 +124,6 @@ def _logs(folder: Path, first: int, count: int) -> list[Path]:
 def _last_line(logs: Path) -> str:
     """Of the newest log that says anything."""
     for path in sorted(logs.glob("*.log"), reverse=True):
-        if said := path.read_text(errors="replace").strip():
-            return said.rpartition("\n")[2]
+        if text := path.read_text(errors="replace").strip():
+            return text.rpartition("\n")[2]
     return f"see {logs}"

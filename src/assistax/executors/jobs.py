@@ -17,7 +17,7 @@ WORKER = "ASSISTAX_WORKER"  # in the environment of what an executor has started
 
 @dataclass(frozen=True)
 class Job:
-    """A piece of work in a folder of its own, which goes on from where it was left, whoever does it."""
+    """A piece of work in a folder of its own, which continues from where it was left, whoever does it."""
 
     name: str
     size: int

@@ -162,8 +162,8 @@ def probe(memory: np.ndarray, truth: np.ndarray, groups: np.ndarray, folds: int 
 def about(population: Population) -> dict[str, np.ndarray]:
     """What a robot may find out: the partners' "preference" [partners, 7] and "body" [partners, 4]."""
     people = stack(population.people)
-    liked, bodies = jax.vmap(preference.vector)(people.preference), jax.vmap(disability.vector)(people.disability)
-    return {"preference": np.asarray(liked, float), "body": np.asarray(bodies, float)}
+    preferences, bodies = jax.vmap(preference.vector)(people.preference), jax.vmap(disability.vector)(people.disability)
+    return {"preference": np.asarray(preferences, float), "body": np.asarray(bodies, float)}
 
 
 def summarize_series(seeds: Sequence[dict[str, np.ndarray]], truths: Mapping[str, np.ndarray]) -> dict[str, Any]:

@@ -51,7 +51,7 @@ class Plan:
             raise UsageError("A population needs one person, algorithm and seed or more.")
         if given := [name for name in self.settings if name.startswith("env.human.") and "visibility" not in name]:
             raise UsageError(f"Who the members are says --people; leave out {given[0]}.")
-        next(iter(self.jobs()))  # settings that cannot be are said before anything is written
+        next(iter(self.jobs()))  # settings that cannot be are refused before anything is written
 
     def jobs(self) -> Iterator[tuple[str, TrainConfig]]:
         """Name and configuration of each training."""

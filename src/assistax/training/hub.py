@@ -42,8 +42,8 @@ def push(folder: Path, name: str, private: bool = False) -> str:
         made = [hub.CommitOperationAdd(CARD, Path(place) / CARD)]
         made += [hub.CommitOperationAdd(one, path) for one, path in ours.items()]
         made += [hub.CommitOperationDelete(one) for one in old]
-        said = f"{len(population)} members of {population.task}"
-        return hub.HfApi().create_commit(name, made, commit_message=said, repo_type="dataset").oid
+        message = f"{len(population)} members of {population.task}"
+        return hub.HfApi().create_commit(name, made, commit_message=message, repo_type="dataset").oid
 
 
 def pull(name: str, folder: Path, revision: str | None = None) -> Population:

@@ -1,4 +1,4 @@
-"""Loggers that people already use: the rows of metrics.jsonl and evaluations.jsonl, told to TensorBoard or wandb, too.
+"""Loggers that people already use: the rows of metrics.jsonl and evaluations.jsonl go to TensorBoard or wandb, too.
 
 Each seed is a run of its own there, its steps are environment steps. A row's numbers keep their names, with slashes:
 `episode/return`, `losses/robot/policy`; an evaluation's are means over its episodes, under `evaluation/`.
@@ -33,7 +33,7 @@ class TensorBoard:
 
     def __init__(self, folder: Path, seed: int, steps: int, config: dict[str, Any]):
         writer = _package("tensorboardX", "tensorboard").SummaryWriter
-        # What came after the checkpoint that a run goes on from is told anew.
+        # What came after the checkpoint that a run continues from is logged anew.
         self._writer = writer(str(folder / "tensorboard" / f"seed-{seed}"), purge_step=steps + 1 if steps else None)
 
     def numbers(self, steps, values):
@@ -50,7 +50,7 @@ class TensorBoard:
 class Wandb:
     """A run per seed in the project "assistax", all of a folder in one group; WANDB_MODE=offline keeps it here.
 
-    The folder remembers its name there, so that a training that is continued goes on with the same run.
+    The folder remembers its name there, so that a training that is continued has the same run there.
     """
 
     def __init__(self, folder: Path, seed: int, steps: int, config: dict[str, Any]):
@@ -91,13 +91,13 @@ def check_loggers(names: Iterable[str]) -> None:
         _package({"tensorboard": "tensorboardX"}.get(name, name), name)
 
 
-class Told:
+class Loggers:
     """All loggers of a training, of all of its seeds; a context, which closes them."""
 
     def __init__(self, names: Iterable[str], folder: Path, seeds: Iterable[int], steps: int, config: dict[str, Any]):
         self._by_seed = {seed: [LOGGERS[name](folder, seed, steps, config) for name in names] for seed in seeds}
 
-    def __enter__(self) -> "Told":
+    def __enter__(self) -> "Loggers":
         return self
 
     def __exit__(self, *_) -> None:
@@ -111,6 +111,7 @@ class Told:
                 logger.numbers(row["steps"], dict(_numbers(row)))
 
     def film(self, steps: int, path: Path) -> None:
+        """Of the trained team, to the first seed's first logger."""
         for logger in self._all()[:1]:
             logger.film(steps, path)
 

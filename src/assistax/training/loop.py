@@ -24,13 +24,13 @@ from assistax.training.clock import Clock, Stop, progress_bar
 from assistax.training.configuration import to_json
 from assistax.training.journal import Journal
 from assistax.training.lock import locked
-from assistax.training.loggers import Told, check_loggers
+from assistax.training.loggers import Loggers, check_loggers
 from assistax.training.run import Run
 from assistax.training.run_folder import check_checkpoint, save_snapshot
 
 CHECKPOINT_SECONDS = 60.0
 _COMPILING = "Compiling, which takes some ten seconds."
-# Settings that may change while a run goes on: how long it lasts, how it is watched, what computes it.
+# Settings that may change when a run is continued: how long it lasts, how it is watched, what computes it.
 _FREE = {
     "steps",
     "evaluations",
@@ -48,17 +48,17 @@ def train(
 ) -> dict[str, Any] | None:
     """Train from the newest checkpoint, if there is one, to the end: the summary.
 
-    `log` names loggers.LOGGERS that are told of it, too; `bar(total, done)` makes the progress bar; `pictures` are
+    `log` names loggers.LOGGERS that are to have it, too; `bar(total, done)` makes the progress bar; `pictures` are
     learning curve and film.
 
     None if it had to stop and save before, because of Ctrl-C or another signal, or because `seconds` have passed.
 
     Raises:
-      UsageError: the run cannot go on as it is asked to; nothing was changed then.
+      UsageError: the run cannot be continued as it is asked to; nothing was changed then.
     """
     check_loggers(log)
     if not (run.folder / "checkpoints").is_dir():
-        raise UsageError(f"{run.folder} is a result without checkpoints, which cannot go on; train anew with --out.")
+        raise UsageError(f"{run.folder} is a result without checkpoints, which cannot continue; train anew with --out.")
     with locked(run.folder):
         return _Training(run, Stop(seconds), log, bar, pictures).go()
 
@@ -72,13 +72,13 @@ class _Training:
         self.run, self.stop, self.log, self.bar, self.pictures = run, stop, log, bar, pictures
         self.trainer, self.seeds, self.engine = run.trainer, run.seeds, run.env.engine
         self.evaluator = Evaluator(run.env, run.config.evaluation_episodes)
-        self.told = Told((), run.folder, self.seeds.seeds, 0, {})  # nobody yet
+        self.loggers = Loggers((), run.folder, self.seeds.seeds, 0, {})  # nobody yet
 
     def go(self) -> dict[str, Any] | None:
         with self.stop:
             state, done, self.clock = self._start()
             steps = done * self.run.steps_per_iteration
-            with Told(self.log, self.run.folder, self.seeds.seeds, steps, _all_settings(self.run)) as self.told:
+            with Loggers(self.log, self.run.folder, self.seeds.seeds, steps, _all_settings(self.run)) as self.loggers:
                 return self._go_on(state, done)
 
     def _go_on(self, state: Any, done: int) -> dict[str, Any] | None:
@@ -94,7 +94,7 @@ class _Training:
             self.bar(total, done * total // run.iterations) as bar,
         ):
             if done == 0:
-                self._save(state, done)  # before any row, so that a run that has rows can always go on
+                self._save(state, done)  # before any row, so that a run that has rows can always be continued
             self._evaluate_due(done, state)  # a signal may have kept it from that
             leave = done == run.iterations or self.stop.signalled
             while not leave:
@@ -112,7 +112,7 @@ class _Training:
                 done += 1
                 rows = self._rows(done, [one["log"] for one in batches], self.seeds.each(losses))
                 self.metrics.write(rows)
-                self.told.rows(rows)
+                self.loggers.rows(rows)
                 bar.update(total // run.iterations)
                 if ended := [row for row in rows if row["episodes"]]:
                     mean = np.mean([row["episode"]["return"] for row in ended])
@@ -138,7 +138,7 @@ class _Training:
         if path is None:
             if any(journal.read(run.folder, name) for name in ("metrics", "evaluations")):
                 raise UsageError(
-                    f"{run.folder} has results but no checkpoint to go on from. Put its checkpoints back, or remove "
+                    f"{run.folder} has results but no checkpoint to continue from. Put its checkpoints back, or remove "
                     "the folder and train anew."
                 )
             run.write_config()
@@ -214,7 +214,7 @@ class _Training:
             about |= {"deterministic": self.run.config.deterministic}
             row = about | {"episodes": found["metrics"], "terms": found["terms"]}
             self.evaluations.write([row])
-            self.told.rows([row])
+            self.loggers.rows([row])
             results.append(result)
         return results
 
@@ -271,7 +271,7 @@ class _Training:
         learning_curve(journal.read(run.folder, "metrics"), title, run.folder / "learning_curve.png")
         try:
             film(results[0]["filmed"], run.folder / "rollout.mp4")
-            self.told.film(steps, run.folder / "rollout.mp4")
+            self.loggers.film(steps, run.folder / "rollout.mp4")
         except UsageError as error:  # a machine that cannot render can still train
             print(f"No film: {error}", file=sys.stderr)
         return summary
@@ -283,7 +283,7 @@ def _all_settings(run: Run) -> dict[str, Any]:
 
 
 def _settings(run: Run) -> dict[str, Any]:
-    """By full name, the settings that must not change while a run goes on."""
+    """By full name, the settings that must not change when a run is continued."""
     return {name: value for name, value in _all_settings(run).items() if name not in _FREE}
 
 
