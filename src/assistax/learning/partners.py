@@ -56,7 +56,7 @@ class Partners:
             index, carry = state[agent]["index"], state[agent]["carry"]
             index = env_state.person.index if player.by_person else index
             keys = jax.random.split(jax.random.fold_in(key, i), self.num_envs)
-            actions[agent], carry = _act(player, index, carry, obs[agent], env_state, reset, keys)
+            actions[agent], carry = act_as_members(player, index, carry, obs[agent], env_state, reset, keys)
             moved[agent] = {"index": index, "carry": carry}
         return actions, moved
 
@@ -81,7 +81,7 @@ class Partners:
         return drawn
 
 
-def _act(player: Player, index, *seen):
+def act_as_members(player: Player, index, *seen):
     """One step of a partner in all environments; what it costs does not grow with its members."""
     if player.members == 1:
         chosen = player.member(0)

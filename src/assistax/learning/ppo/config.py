@@ -43,6 +43,9 @@ class PPOConfig:
     )  # P, I and D of its multiplier, see constraint.updated
     noise_correlation: float = 0.0  # of the exploration from step to step; begins anew with episode and rollout
     correlated_steps: int = 0  # environment steps after which noise_correlation is 0, as long runs need; 0: never
+    teachers: tuple[str, ...] = ()  # "human=offer": scripted policies that learners imitate at first, see teacher.py
+    teaching_coef: float = 1.0  # of the imitation loss, which takes the place of their policies' at first
+    teaching_steps: int = 2_000_000  # environment steps in which reward takes over, evenly
     normalize_obs: bool = True  # by running mean and standard deviation
     stagger: bool = True  # start the environments at different times of their episodes
 
@@ -73,6 +76,9 @@ class PPOConfig:
             )
         if not 0 <= self.desired_kl < math.inf:
             raise UsageError(f"ppo.desired_kl must be 0 (none) or above, not {self.desired_kl}.")
+        if self.teaching_coef < 0:
+            raise UsageError(f"ppo.teaching_coef must be 0 or more, not {self.teaching_coef}.")
+        check_count("ppo.teaching_steps", self.teaching_steps)
         if self.partner_code < 0:
             raise UsageError(f"ppo.partner_code must be 0 (none) or more, not {self.partner_code}.")
         if self.partner_code and (self.recurrent or self.share_parameters):

@@ -28,6 +28,7 @@ from assistax.learning.ppo.config import QUIETER, PPOConfig
 from assistax.learning.ppo.constraint import check_cost, combined, in_means, init_constraint, updated
 from assistax.learning.ppo.losses import adapted_rate, clip_networks, clipped_policy_loss, value_loss
 from assistax.learning.ppo.team import TeamNetworks, beside
+from assistax.learning.teacher import Teacher, imitation_loss, teaching_weight
 from assistax.learning.tuned import overlaid
 from assistax.policies import Player
 from assistax.pytree import pytree
@@ -49,6 +50,7 @@ class TrainState:
     key: jax.Array
     iteration: jax.Array  # int32
     constraint: Any = ()  # with ppo.cost_limit, a Constraint
+    teacher: Any = ()  # with ppo.teacher, what its scripts remember, by learner
     tuned: dict[str, jax.Array] = field(default_factory=dict)  # settings that stand in for the configuration's
 
 
@@ -85,6 +87,7 @@ class PPO:
             )
         if config.constrained:
             check_cost(env)
+        self.teacher = Teacher(env, num_envs, config.teachers, self.learners)
         self._adam = optax.adam(1.0, eps=1e-5)  # its steps are multiplied by the learning rate
         self._updates = total_iterations * config.update_epochs * config.num_minibatches
         self._last_iteration = total_iterations - 1
@@ -114,6 +117,7 @@ class PPO:
             key=key,
             iteration=jnp.int32(0),
             constraint=init_constraint(self.num_envs) if self.config.constrained else (),
+            teacher=self.teacher.init(),
             tuned=tuned,
         )
 
@@ -150,12 +154,13 @@ class PPO:
         global_obs = jax.vmap(env.global_obs) if c.central_critic else lambda _: None
 
         def play(carry, now):
-            (env_state, obs, reset, memory, noise, partner_state, so_far, t), (key, first) = carry, now
+            (env_state, obs, reset, memory, noise, partner_state, taught, so_far, t), (key, first) = carry, now
             forgets = reset & ~self.partners.stay(env_state)  # a memory is for as long as the partner stays
             # A rollout's noise knows nothing of the one before, so that its density is one of its own actions alone.
             kept = jnp.where(reset | first, 0.0, correlation)
             partner_key, redraw_key, step_key, *action_keys = jax.random.split(key, 3 + len(self.learners))
             actions, partner_state = self.partners.act(partner_state, env_state, obs, reset, partner_key)
+            shown, taught = self._shown(c, state, taught, env_state, obs, reset, partner_key)
             memory, noise, log_probs = dict(memory), dict(noise), {}
             for agent, action_key in zip(self.learners, action_keys, strict=True):
                 carry = memory[agent], noise[agent]
@@ -177,6 +182,7 @@ class PPO:
                 "actions": {agent: actions[agent] for agent in self.learners},
                 "log_probs": log_probs,
                 "beside": self.networks.done_beside(actions),
+                "shown": shown,
                 "kept": kept if correlated else None,  # correlation of the noise with that of the step before
                 "rewards": {agent: rewards[agent] for agent in self.learners},
                 "terminated": terminated["__all__"],
@@ -189,23 +195,38 @@ class PPO:
                 so_far = jnp.where(done, 0.0, total)
             log = step_log(info, whole)
             partner_state = self.partners.redraw(partner_state, env_state, done, redraw_key)
-            return (env_state, next_obs, done, memory, noise, partner_state, so_far, t + 1), (played, log)
+            return (env_state, next_obs, done, memory, noise, partner_state, taught, so_far, t + 1), (played, log)
 
         key, rollout_key = jax.random.split(state.key)
         t = state.iteration * c.num_steps + 1
         noise = {agent: jnp.zeros((self.num_envs, env.action_sizes[agent])) for agent in self.learners}
         so_far = state.constraint.so_far if self.config.constrained else ()
-        start = (state.env_state, state.obs, state.reset, state.memory, noise, state.partner_state, so_far, t)
+        beside = state.partner_state, state.teacher
+        start = (state.env_state, state.obs, state.reset, state.memory, noise, *beside, so_far, t)
         steps = jax.random.split(rollout_key, c.num_steps), jnp.arange(c.num_steps) == 0
         end, (batch, log) = jax.lax.scan(play, start, steps)
-        env_state, obs, reset, memory, _, partner_state, so_far, _ = end
+        env_state, obs, reset, memory, _, partner_state, taught, so_far, _ = end
         after = {"env_state": env_state, "obs": obs, "reset": reset, "memory": memory, "partner_state": partner_state}
+        after |= {"teacher": taught}
         if self.config.constrained:
             whole = batch.pop("whole")
             batch["episode_cost"] = jnp.sum(batch["episode_cost"] * whole) / whole.sum()  # NaN if none ended
             after["constraint"] = replace(state.constraint, so_far=so_far)
         batch |= {"memory": state.memory, "log": iteration_log(log)}
         return replace(state, **after, key=key), batch
+
+    def _teaching(self, c, iteration):
+        """The weight of the teacher's term in an iteration."""
+        return teaching_weight(c.teaching_steps, iteration * self.steps_per_iteration)
+
+    def _shown(self, c, state, taught, env_state, obs, reset, key):
+        """What the teachers would do, by the learner whom they teach [num_envs, n], and what their scripts remember."""
+        if not self.teacher.players:
+            return {}, taught
+        blank = {a: jnp.zeros((self.num_envs, self.env.action_sizes[a])) for a in self.teacher.players}
+        seen = taught, env_state, obs, reset, key
+        over = self._teaching(c, state.iteration) <= 0.0
+        return jax.lax.cond(over, lambda taught, *_: (blank, taught), self.teacher.show, *seen)
 
     # -- learning ------------------------------------------------------------------------------
 
@@ -238,6 +259,8 @@ class PPO:
                 return {"old": values, "target": advantages + values}, advantages
 
             samples[agent] = {"action": batch["actions"][agent], "log_prob": batch["log_probs"][agent]}
+            if agent in batch["shown"]:
+                samples[agent]["shown"] = batch["shown"][agent]
             if c.partner_code:
                 samples[agent]["told"] = jnp.concatenate([final[beside(agent)], batch["beside"][agent]], -1)
             samples[agent]["critic"], advantages[agent] = judged(networks[agent]["critic"], batch["rewards"][agent])
@@ -265,6 +288,7 @@ class PPO:
             state = replace(state, constraint=replace(constraint, per_step=per_step))
         samples = self._samples(replace(state, normalizer=used), batch)
         samples = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
+        teaching = self._teaching(c, state.iteration)
         # Without memory, every step is a sequence of its own.
         steps = jnp.arange(c.num_steps)[:, None] * self.num_envs if self.config.remembers else 0
         sequences = self.num_envs if self.config.remembers else self.steps_per_iteration
@@ -277,7 +301,7 @@ class PPO:
             ):  # the step before in the same environment, if there is one
                 part["before"] = jax.tree.map(lambda x: x[jnp.maximum(ids - self.num_envs, 0)], samples)
             part_start = jax.tree.map(lambda x: x[ids], batch["memory"])
-            grads, stats = jax.grad(partial(self._loss, c), has_aux=True)(params, part, part_start)
+            grads, stats = jax.grad(partial(self._loss, c, teaching), has_aux=True)(params, part, part_start)
             rate = c.learning_rate
             if c.anneal_learning_rate:
                 rate *= 1.0 - opt_state[0].count / self._updates
@@ -301,7 +325,11 @@ class PPO:
         kl = {agent: stats[agent]["approx_kl"] for agent in self.learners}
         if c.share_parameters:
             kl = {"shared": sum(kl.values()) / len(kl)}
-        rate_scale = {name: adapted_rate(state.rate_scale[name], kl[name], c.desired_kl) for name in kl}
+        desired_kl = dict.fromkeys(kl, c.desired_kl)
+        if self.teacher.players:  # they may move a policy as far as they have to
+            led = ("shared",) if c.share_parameters else self.teacher.players
+            desired_kl |= dict.fromkeys(led, jnp.where(teaching > 0.0, 0.0, c.desired_kl))
+        rate_scale = {name: adapted_rate(state.rate_scale[name], kl[name], desired_kl[name]) for name in kl}
         for agent, networks in self.networks.of(params).items():
             value, target = samples[agent]["critic"]["old"], samples[agent]["critic"]["target"]
             stats[agent]["explained_variance"] = 1.0 - jnp.var(target - value) / (jnp.var(target) + 1e-8)
@@ -329,10 +357,10 @@ class PPO:
         quiet = {name: actor | {"log_std": jnp.minimum(actor["log_std"], most)} for name, actor in actors.items()}
         return {name: networks | {"actor": quiet[name]} for name, networks in params.items()}
 
-    def _loss(self, c, params, part, start):
+    def _loss(self, c, teaching, params, part, start):
         losses, stats = {}, {}
         for agent, networks in self.networks.of(params).items():
-            losses[agent], stats[agent] = self._agent_loss(c, agent, networks, part, start[agent])
+            losses[agent], stats[agent] = self._agent_loss(c, teaching, agent, networks, part, start[agent])
         # Shared weights learn from all agents' samples together: the mean over them.
         return sum(losses.values()) / (len(losses) if c.share_parameters else 1), stats
 
@@ -358,15 +386,15 @@ class PPO:
         return jax.lax.cond(jnp.any(part["kept"] > 0.0), played_again, lambda: jnp.zeros_like(mean))
 
     def _log_prob(self, c, agent, networks, part, start):
-        """Log-probabilities [...] of the actions of `part`, which follow those before them; the memory; the code."""
+        """Means [..., n], log-probabilities [...] of `part`'s actions given those before, the memory, the code."""
         actor = networks["actor"]
         mean, memory, code = unroll_actor(networks, part["obs"][agent], start, part["reset"], c.activation)
         given = () if part["kept"] is None else (self._noise_before(c, agent, actor, part, mean), part["kept"])
-        return gaussian_log_prob(part[agent]["action"], mean, actor["log_std"], *given), memory, code
+        return mean, gaussian_log_prob(part[agent]["action"], mean, actor["log_std"], *given), memory, code
 
-    def _agent_loss(self, c, agent, networks, part, start):
+    def _agent_loss(self, c, teaching, agent, networks, part, start):
         x, log_std = part[agent], networks["actor"]["log_std"]
-        log_prob, memory, code = self._log_prob(c, agent, networks, part, start)
+        mean, log_prob, memory, code = self._log_prob(c, agent, networks, part, start)
         log_ratio = log_prob - x["log_prob"]
         policy_loss = clipped_policy_loss(log_ratio, x["advantage"], c.clip_eps)
         clip = c.clip_eps if c.clip_value else None
@@ -386,6 +414,9 @@ class PPO:
         if self.config.constrained:
             stats["cost_value_loss"] = errors["cost_critic"]
         loss = policy_loss + c.value_coef * sum(errors.values()) - c.entropy_coef * entropy
+        if "shown" in x:
+            stats["imitation_loss"] = imitation_loss(mean, x["shown"], log_std)
+            loss += teaching * (c.teaching_coef * stats["imitation_loss"] - policy_loss)
         if c.partner_code:
             stats["prediction_error"] = prediction_error(networks["partner_model"], code, x["told"], c.activation)
             loss += stats["prediction_error"]
