@@ -116,6 +116,7 @@ def test_an_interrupted_run_goes_on(tmp_path):
         (["train", "scratch", "--preset", "papr"], "Did you mean 'paper'"),
         (["train", "scratch", "--set", "ppo.learningrate=1"], "Did you mean 'ppo.learning_rate'"),
         (["train", "scratch", "--set", "ppo.learning_rate"], "NAME=VALUE"),
+        (["train", "scratch", "--set", "ppo.gamma=0.9", "--set", "ppo.lambda=1"], "--set is there twice"),
         (["train", "scratch", "--set", "ppo.gamma=2"], r"ppo.gamma must be in [0, 1]"),
         (["train", "scratch", "--num-envs", "0"], "num_envs must be 1 or more"),
         (["train", "scratch", "--num-envs", "3", "--set", "ppo.num_minibatches=7"], "do not divide"),

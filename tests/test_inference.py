@@ -74,6 +74,6 @@ def test_what_is_saved_plays_with_numpy_alone(tmp_path):
 
 
 def test_a_scripted_agent_is_one_line(scratch):
-    with pytest.raises(UsageError, match="Only trained policies can be had in NumPy; the human is scripted"):
+    with pytest.raises(UsageError, match="Only networks can be had in NumPy, not the Still that plays the human"):
         as_numpy({"human": Player(Still(3))})
     assert isinstance(NumPyTeam({}), NumPyTeam)

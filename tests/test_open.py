@@ -5,15 +5,18 @@ import sys
 from importlib.metadata import EntryPoint
 from types import SimpleNamespace
 
+import jax
+import jax.numpy as jnp
 import pytest
 from commands import assistax
 from pages import DOCS, imported, python_blocks
 
+from assistax.env import make
 from assistax.errors import UsageError
 from assistax.evaluation.film import Camera
 from assistax.learning.algorithms import ALGORITHMS, Algorithm
 from assistax.registry import Registry
-from assistax.tasks import TASKS, TaskSpec
+from assistax.tasks import TASKS, TaskSpec, register_task
 from assistax.training.configuration import configure
 from assistax.training.sweep import Sweep
 
@@ -113,6 +116,19 @@ def test_presets_fall_back_to_the_default_row(package):
     for choices in ({}, {"algorithm": "evolution"}):
         with pytest.raises(UsageError, match="The preset 'paper' has no settings for"):
             configure("showing", {}, preset="paper", **choices)
+
+
+def test_their_people_can_have_preferences(package):
+    preferring = {"preference": "sweep"}
+    env = make("showing", human=preferring)
+    _, state = env.reset(jax.random.key(0))
+    *_, info = env.step(jax.random.key(1), state, {agent: jnp.zeros(n) for agent, n in env.action_sizes.items()})
+    assert sum(name.startswith("prefer") for name in info["reward_terms"]) == 4
+    lacking = type("Lacking", (package["task"].Showing,), {"tool_speed": property()})  # there is none
+    register_task(TaskSpec("lacking", 0, lacking, package["task"].SPEC.scene))
+    assert make("lacking").name == "lacking-v0"
+    with pytest.raises(UsageError, match="need tool_speed of a task, which lacking-v0 does not have"):
+        make("lacking", human=preferring)
 
 
 def test_what_they_lack_is_refused_in_one_line(package, capsys):

@@ -63,6 +63,8 @@ class EnvConfig:
 
 @pytree
 class EnvState:
+    """One environment between two steps."""
+
     physics: PhysicsState
     task: TaskState
     person: HumanProfile
@@ -116,6 +118,8 @@ class Env:
         check_measures("task_config", self.task_config)
         self.task = self.spec.task(self.task_config, model, self.dt)
         driven = scene.human_driven
+        if config.human.preferring and not hasattr(self.task, "tool_speed"):
+            raise UsageError(f"People with preferences need tool_speed of a task, which {self.name} does not have.")
         self._body = disability.Body(model, driven)
         self.motors = Motors(model, scene, config.human, config.torque_scale, self.spec.tremor_weakens)
         self.action_sizes = self.motors.sizes
@@ -253,9 +257,11 @@ class Env:
         return joined(self._blocks(state))
 
     def observation_space(self, agent: str) -> Box:
+        """What an agent observes: [observation_sizes[agent]], without bounds."""
         return Box((self.observation_sizes[choose("agent", agent, AGENTS)],))
 
     def action_space(self, agent: str) -> Box:
+        """What an agent can do: [action_sizes[agent]], each entry in [-1, 1]."""
         return Box((self.action_sizes[choose("agent", agent, AGENTS)],), -1.0, 1.0)
 
     def metrics(self, state: EnvState) -> dict[str, jax.Array]:

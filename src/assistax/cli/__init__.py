@@ -24,7 +24,7 @@ from assistax.cli.table import table
 from assistax.cli.tasks import tasks
 from assistax.cli.train import train
 from assistax.cli.view import view
-from assistax.errors import AssistaxError
+from assistax.errors import AssistaxError, UsageError
 
 DESCRIPTION = "A robot arm and a person, both with policies of their own: train, evaluate, watch."
 COMMANDS = (
@@ -62,7 +62,10 @@ def main() -> None:
     # Programs without physics are compiled once per machine; read when JAX is first imported.
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "assistax" / "jax"
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
+    options = [word.partition("=")[0] for word in sys.argv[1:] if word.startswith("--")]
     try:
+        if twice := [option for option in options if options.count(option) > 1]:
+            raise UsageError(f"{twice[0]} is there twice, and one would replace the other; put its values behind one.")
         tyro.extras.subcommand_cli_from_dict(
             GROUPS[group][1] if group else commands,
             prog=f"assistax {group}" if group else "assistax",

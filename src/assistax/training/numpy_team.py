@@ -4,7 +4,6 @@ from pathlib import Path
 
 from assistax.errors import UsageError
 from assistax.inference import NumPyTeam
-from assistax.learning.actors import Actor, SquashedActor
 from assistax.policies import Team
 from assistax.training import team_file
 from assistax.training.run import Run
@@ -15,7 +14,7 @@ def load_team(target: str | Path) -> NumPyTeam:
     seed), or an .npz that `NumPyTeam.save` wrote.
 
     Raises:
-      UsageError: there is no such team, or one of its agents is scripted.
+      UsageError: there is no such team, or one of its agents is not played by a network.
     """
     path = Path(target)
     if path.suffix == ".npz":
@@ -31,7 +30,10 @@ def as_numpy(team: Team) -> NumPyTeam:
     """The first members of the players of a trained team."""
     policies = {}
     for agent, player in team.items():
-        if not isinstance(player.policy, (Actor, SquashedActor)):
-            raise UsageError(f"Only trained policies can be had in NumPy; the {agent} is scripted.")
-        policies[agent] = player.policy.as_numpy(player.member(0))
+        convert = getattr(player.policy, "as_numpy", None)
+        if convert is None:
+            raise UsageError(
+                f"Only networks can be had in NumPy, not the {type(player.policy).__name__} that plays the {agent}."
+            )
+        policies[agent] = convert(player.member(0))
     return NumPyTeam(policies)
