@@ -22,6 +22,7 @@ class Bookkeeping:
     preferring: bool  # whether the person has preferences
 
     def start(self) -> Sums:
+        """All at zero, at the beginning of an episode."""
         names = ["return", "cost", "peak_force", "seconds_over_force_limit", "work_robot", "work_human"]
         names += ["task_return", "preference_return"] * self.preferring
         return {name: jnp.float32(0.0) for name in names}

@@ -29,6 +29,7 @@ def stamp_changes(then: dict[str, Any], now: dict[str, Any]) -> list[str]:
 
 
 def versions() -> dict[str, str]:
+    """Of Python and, as far as they are installed, of PACKAGES."""
     found = {"python": platform.python_version()}
     for package in PACKAGES:
         try:

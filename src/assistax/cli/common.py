@@ -122,10 +122,12 @@ def duration(text: str) -> float:
 
 
 def print_json(report: Any) -> None:
+    """A report for other programs."""
     print(json.dumps(report, indent=2))
 
 
 def print_table(report: dict[str, Any], indent: str = "") -> None:
+    """A report for people: a line for each number, pairs as intervals."""
     for name, value in report.items():
         if isinstance(value, dict):
             print(f"{indent}{name}")
@@ -167,6 +169,7 @@ def film_episode(result, path: Path | None, plain: bool, **camera) -> None:
 
 
 def free_folder(name: str) -> Path:
+    """runs/NAME or, if there is one, runs/NAME-2 and so on."""
     folder, number = Path("runs") / name, 2
     while folder.exists():
         folder, number = Path("runs") / f"{name}-{number}", number + 1

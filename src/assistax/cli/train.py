@@ -33,6 +33,9 @@ def train(
     Writes one folder: config.json, metrics.jsonl, evaluations.jsonl, checkpoints/, learning_curve.png,
     summary.json and rollout.mp4. Ctrl-C saves and stops; `--resume RUN` continues where it stopped, to the bit.
 
+    Every setting, with default and meaning, is listed by `assistax settings TASK`: of the algorithm, the environment,
+    the person, the task and the training. Change any with --set NAME=VALUE.
+
     For example:
       assistax train scratch
       assistax train scratch --preset paper --steps 40000000 --num-seeds 3

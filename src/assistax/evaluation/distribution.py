@@ -28,6 +28,7 @@ class Distribution:
 
     @property
     def mean(self) -> float:
+        """Of all values."""
         return self._total / max(int(self._counts.sum()), 1)
 
     @property

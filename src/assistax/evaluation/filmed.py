@@ -6,6 +6,7 @@ import numpy as np
 
 
 def nothing() -> np.ndarray:
+    """No steps."""
     return np.zeros(0)
 
 

@@ -172,5 +172,5 @@ def crossed_ci(scores: np.ndarray) -> Interval | None:
             larger = squares[:2].argmax()
             total, freedom = squares[larger], degrees[larger]
         error = np.sqrt(total / x.size)
-    reach = stdtrit(freedom, 0.975) * error
+    reach = student_t(freedom) * error
     return float(x.mean() - reach), float(x.mean() + reach)

@@ -26,6 +26,7 @@ class Job:
 
     @property
     def finished(self) -> bool:
+        """Whether nothing is left to do."""
         return self.done() >= self.size
 
 

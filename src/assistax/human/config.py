@@ -74,10 +74,12 @@ class HumanConfig:
 
     @property
     def disabled(self) -> bool:
+        """Whether anybody listed has a disability."""
         return any(person.disability != "none" for person in self.listed)
 
     @property
     def preferring(self) -> bool:
+        """Whether anybody listed has preferences."""
         return self.preference == "sweep" or any(person.preference != "none" for person in self.listed)
 
     def draw(self, key: jax.Array, index: jax.Array | None = None) -> HumanProfile:

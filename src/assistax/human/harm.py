@@ -53,6 +53,7 @@ class HarmState:
 
 
 def begin() -> HarmState:
+    """At the beginning of an episode: none."""
     zero = jnp.zeros(len(REGIONS))
     return HarmState(zero, zero, zero, jnp.bool_(False), jnp.float32(0.0), jnp.float32(0.0))
 

@@ -38,6 +38,8 @@ def _quiet() -> None:
 
 
 class MujocoEngine(Engine):
+    """MuJoCo's C engine on the cores of this machine, see `mujoco.batch.Batch`."""
+
     name = "mujoco"
 
     def __init__(self, model: mujoco.MjModel, substeps: int = 4, num_threads: int = 0):

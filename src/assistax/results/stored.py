@@ -40,6 +40,7 @@ class StoredRun:
 
     @classmethod
     def read(cls, folder: Path) -> "StoredRun":
+        """Raises UsageError for a configuration that is damaged or of an unknown task."""
         path = folder / "config.json"
         config = read_json(path, CONFIG)
         try:

@@ -164,6 +164,7 @@ def _meeting_config(config: TrainConfig, population: Population, **knowing: Any)
 
 
 def check_strangers(runs: Sequence[Run], populations: Mapping[str, Population]) -> None:
+    """Raise UsageError unless these robots can be measured with these partners, and none has met one of the test."""
     for population in populations.values():
         for run in runs:
             if run.config.task != population.task:

@@ -62,6 +62,7 @@ class Stop:
 
     @property
     def asked(self) -> bool:
+        """Whether it is time to save and stop."""
         return self.signalled or time.monotonic() > self._deadline
 
     def _ask(self, *_) -> None:

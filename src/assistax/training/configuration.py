@@ -23,6 +23,8 @@ DEFAULT_STEPS = 5_000_000
 
 @dataclass(frozen=True)
 class TrainConfig:
+    """One training: what learns what, where, with whom and for how long."""
+
     task: str
     algorithm: str = "ippo"
     preset: str = "default"
@@ -58,6 +60,7 @@ class TrainConfig:
 
     @property
     def kind(self) -> Algorithm:
+        """The algorithm's row in the registry."""
         return ALGORITHMS[self.algorithm]
 
     @property
@@ -72,6 +75,7 @@ class TrainConfig:
 
     @property
     def seeds(self) -> range:
+        """The first seed and those after it, one for each run."""
         return range(self.seed, self.seed + self.num_seeds)
 
     @property

@@ -29,6 +29,7 @@ class Journal:
         self._file.close()
 
     def write(self, rows: Iterable[dict[str, Any]]) -> None:
+        """Append rows, a line each."""
         with writing(self._path):
             self._file.write("".join(json.dumps(row) + "\n" for row in rows))
             self._file.flush()

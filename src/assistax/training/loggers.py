@@ -21,11 +21,17 @@ _ABOUT = ("steps", "seed", "deterministic")  # what a row says of itself
 class Logger(Protocol):
     """Where one seed's numbers go."""
 
-    def numbers(self, steps: int, values: Mapping[str, float]) -> None: ...
+    def numbers(self, steps: int, values: Mapping[str, float]) -> None:
+        """Numbers by name, after so many environment steps."""
+        ...
 
-    def film(self, steps: int, path: Path) -> None: ...
+    def film(self, steps: int, path: Path) -> None:
+        """The film at `path`, of the team after so many steps."""
+        ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Write what is left."""
+        ...
 
 
 class TensorBoard:

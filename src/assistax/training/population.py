@@ -53,6 +53,7 @@ class Population:
 
     @property
     def ids(self) -> tuple[str, ...]:
+        """Of the members, in their order."""
         return tuple(row["id"] for row in self.rows)
 
     @property
@@ -62,6 +63,7 @@ class Population:
 
     @property
     def task(self) -> str:
+        """The id of the task that all members are of."""
         return self.rows[0]["task"]
 
     @property

@@ -117,6 +117,7 @@ class Run:
         return {agent: Player.of(policy, params) for agent, params in learned.items()} | self._frozen
 
     def newest_checkpoint(self) -> Path | None:
+        """None if nothing has been saved yet."""
         return newest_checkpoint(self.folder)
 
     def teams(self, deterministic: bool | None = None) -> list[Team]:

@@ -25,6 +25,7 @@ def read_config(folder: Path) -> TrainConfig:
 
 
 def newest_checkpoint(folder: Path) -> Path | None:
+    """Of a run's folder; None if there is none."""
     return max((folder / "checkpoints").glob("step_*.safetensors"), default=None)
 
 

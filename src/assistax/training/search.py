@@ -44,6 +44,7 @@ class Interval:
 
     @property
     def log(self) -> bool:
+        """Whether it is drawn from log-uniformly."""
         return self.low > 0
 
     def draw(self, rng: np.random.Generator) -> float:

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from assistax import programs
+from assistax.policies import stack
 
 
 class Lanes:
@@ -25,7 +26,7 @@ class Lanes:
         """`fn(key, ...)`, which makes a state, for lists [count] of its arguments: the state of all lanes."""
         if self._side_by_side:
             batched = programs.jit(jax.vmap(fn))
-            return lambda *lists: batched(*map(_stack, lists))
+            return lambda *lists: batched(*map(stack, lists))
         fn = programs.jit(fn)
         return lambda *lists: [fn(*one) for one in zip(*lists, strict=True)]
 
@@ -38,7 +39,7 @@ class Lanes:
 
     def like(self, fn, *lists) -> Any:
         """Shapes of what a checkpoint of `start(fn)(*lists)` holds: a leading axis of lanes."""
-        return jax.eval_shape(jax.vmap(fn), *map(_stack, lists))
+        return jax.eval_shape(jax.vmap(fn), *map(stack, lists))
 
     def each(self, tree) -> list:
         """By lane."""
@@ -66,6 +67,7 @@ class Joined:
         return self._lanes[lane]
 
     def whole(self) -> jax.Array:
+        """[lanes, ...]."""
         return jnp.stack(self._lanes)
 
 
@@ -83,10 +85,6 @@ class Seeds(Lanes):
 
     def like(self, fn, *lists) -> Any:
         return super().like(fn, self._keys, *lists)
-
-
-def _stack(trees: Sequence[Any]) -> Any:
-    return jax.tree.map(lambda *xs: jnp.stack(xs), *trees)
 
 
 def _unstack(tree: Any, count: int) -> list:

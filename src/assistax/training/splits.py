@@ -142,11 +142,13 @@ def path_of(folder: Path, kind: str) -> Path:
 
 
 def save(path: Path, parts: Split) -> None:
+    """Write a split as JSON."""
     path.parent.mkdir(parents=True, exist_ok=True)
     write_json(path, parts)
 
 
 def load(path: Path, population: Population) -> Split:
+    """Read a split; raises UsageError unless it is one of this population."""
     return check(population, read_json(path, SPLIT))
 
 

@@ -144,6 +144,7 @@ class Browser:
             self.hand.target = target
 
     def release(self) -> None:
+        """Let go of what is held."""
         self.hand = None
 
     # -- parts ---------------------------------------------------------------------------------

@@ -66,6 +66,7 @@ class Live:
 
     @property
     def over(self) -> bool:
+        """Whether the episode has ended."""
         return bool(self._played.over)
 
     @property
