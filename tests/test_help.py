@@ -118,11 +118,13 @@ def test_the_other_side_of_the_arm_is_paid_much_less_for_being_near():
 
 
 @pytest.mark.parametrize("place", range(4))
-def test_the_nearest_dirt_is_the_nearest_around_the_arm_and_reach_asks_to_show_it_and_for_a_flat_pad(place):
+def test_the_nearest_dirt_is_seen_and_every_dirty_point_pays_its_share_of_reach(place):
     env, s = at_rest("bed_bath")
     turned = np.random.default_rng(place).normal(size=4)
     s["tool_quat"] = (turned / np.linalg.norm(turned))[None]
     state = env.task.reset(jax.random.key(place))
+    washed = np.flatnonzero(np.asarray(state.dirty))[:place]
+    state = dataclasses.replace(state, visited=state.visited.at[washed].set(True))
     s["tool_pos"] = s["forearm_pos"] + np.random.default_rng(place).normal(size=3) * 0.1
     bodies = ["right_upper_arm"] * 29 + ["right_forearm"] * 23
     points = np.concatenate([np.asarray(x, float) for x in env.task.points])
@@ -135,9 +137,33 @@ def test_the_nearest_dirt_is_the_nearest_around_the_arm_and_reach_asks_to_show_i
     np.testing.assert_allclose(env.task.observe(now, state)["dirty_side"], side, atol=1e-5)
     pad = np.zeros(9)
     mujoco.mju_quat2Mat(pad, np.asarray(s["tool_quat"][0], float))
-    flat = 0.5 - 0.5 * normals[nearest] @ pad.reshape(3, 3)[:, 2]
-    paid = np.exp(-(ways[nearest] ** 2) / 0.1) * facing(env, side, places[nearest]) * flat
-    assert float(env.task.reward_terms(now, state)["reach"]) == pytest.approx(paid, abs=1e-5)
+    paid = []
+    for i in np.flatnonzero(np.asarray(state.dirty)):
+        flat = 0.5 - 0.5 * normals[i] @ pad.reshape(3, 3)[:, 2]
+        paid.append(np.exp(-(ways[i] ** 2) / 0.1) * facing(env, normals[i], places[i]) * flat)
+        if i in washed:
+            paid[-1] = 1.0
+    assert float(env.task.reward_terms(now, state)["reach"]) == pytest.approx(np.mean(paid), abs=1e-5)
+
+
+def test_washing_a_point_costs_nothing_later_wherever_the_pad_is():
+    """When reach was paid for the nearest dirt alone, who washed it lost its reach to the end of the episode."""
+    env, s = at_rest("bed_bath")
+    rng = np.random.default_rng(0)
+    reach = jax.jit(lambda s, state: env.task.reward_terms(s, state)["reach"])
+    for i in range(40):
+        state = env.task.reset(jax.random.key(i))
+        s["tool_pos"] = s["forearm_pos"] + rng.normal(size=3) * 0.15
+        turned = rng.normal(size=4)
+        s["tool_quat"] = (turned / np.linalg.norm(turned))[None]
+        now = {name: jnp.asarray(x[0], jnp.float32) for name, x in s.items()}
+        before = float(reach(now, state))
+        for point in rng.permutation(np.flatnonzero(np.asarray(state.dirty))):
+            state = dataclasses.replace(state, visited=state.visited.at[point].set(True))
+            after = float(reach(now, state))
+            assert after > before - 1e-6
+            before = after
+        assert before == pytest.approx(1.0, abs=1e-6)
 
 
 def dirty_all_over(env):

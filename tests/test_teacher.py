@@ -21,7 +21,7 @@ QUICK = replace(QUICK, initial_log_std=-2.0, gamma=0.9)
 
 @dataclass(frozen=True)
 class Contrary:
-    """Knows the context c, which the human should answer with -0.25 c, and shows 0.5 c; counts the steps of an episode."""
+    """Knows c, which the human should answer with -0.25 c, and shows 0.5 c; adds 0.01 for each step of the episode."""
 
     privileged = True
 

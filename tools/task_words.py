@@ -100,19 +100,20 @@ TASKS = {
         ),
         "a flat pad; the tool point is its middle",
         {
-            "reach": Term("exp(−(d + a)²/σ) · e · p", lambda c, steps: steps),
+            "reach": Term(
+                "mean over the dirty points of: 1 if washed, else exp(−(d + a)²/σ) · e · p", lambda c, steps: steps
+            ),
             "wipe": Term(
                 "{c.wipe_scale:g} · (52 / m) · points washed in this step", lambda c, steps: 52.0 * c.wipe_scale
             ),
         },
-        "d: distance from the tool point to the point still to be washed that is nearest (m), and a: length of the "
-        "arc around its segment from the side that the tool point is on to that of the point (m), nearest by their "
-        "sum; σ = {r.SIGMA:g} m²; e: how far the dirt faces the robot, from 0 to 1: (1 + n̄·b)/2 for the mean n̄ of "
-        "the outward normals where it is still dirty and the direction b to the robot's base, level, and 45° up; p: "
-        "how flat the pad is to the skin at the target, from 0 to 1: (1 − n·z)/2 for the outward normal n there and "
-        "the way z that the pad faces; m: how many of the 52 points were dirty at the start. When the last one is "
-        "washed, that step pays the reach term for all steps that are left, too, with e = p = 1, so that finishing "
-        "early costs nothing",
+        "d: distance from the tool point to a dirty point (m), and a: length of the arc around its segment from the "
+        "tool's side of it to the point's (m); σ = {r.SIGMA:g} m²; e: how far the skin there faces the "
+        "robot, from 0 to 1: (1 + n·b)/2 for the outward normal n and the direction b to the robot's base, level, and "
+        "45° up; p: how flat the pad is to it, from 0 to 1: (1 − n·z)/2 for the way z that the pad faces; m: how many "
+        "of the 52 points were dirty at the start. Washing a point costs nothing later, and when the last one is "
+        "washed, that step pays the reach term, 1, for all steps that are left, too, so that finishing early does not "
+        "either",
         "the pad's middle is within {c.near:g} m of a dirty point and presses on its segment with more than "
         "{c.touch_force:g} N",
         "{c.success_fraction:.0%} of the dirty points are washed (`fraction_visited`). A point is washed after "

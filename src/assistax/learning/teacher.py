@@ -53,7 +53,7 @@ class Teacher:
 
 
 def teaching_weight(teaching_steps, steps_so_far) -> jax.Array:
-    """Of imitation in the loss, reward having the rest: 1 at first, then less, evenly, and 0 from `teaching_steps` on."""
+    """Of imitation in the loss, where reward has the rest: 1 at first, evenly less, 0 from `teaching_steps` on."""
     return jnp.clip(1.0 - steps_so_far / teaching_steps, 0.0, 1.0)
 
 

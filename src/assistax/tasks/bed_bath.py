@@ -33,7 +33,8 @@ class BedBathConfig:
     speed: tuple[float, float] = (0.0, 1e3)  # m/s, ... at a speed within these,
     wash_seconds: float = 0.0  # s, and is done, once for all, after so long in all; 0: at once, merely visited
     wipe_scale: float = 3.0  # per newly visited point; more if fewer than 52 are dirty, the same in all
-    sided: bool = False  # whether observations tell on which side dirt is, and reach asks to show it and for a flat pad
+    sided: bool = False  # whether observations tell on which side dirt is, and the way to it leads around the limb
+    reach_each: bool = False  # whether every dirty point pays a share of reach, all of it once it is washed, see _reach
     # Where the points are: all around the arm, or between fractions of the segment's length from its start, and up to
     # this angle to either side of up.
     around: bool = False
@@ -122,17 +123,22 @@ class BedBath:
         pairs = zip(SEGMENTS, self.normals, strict=True)
         return jnp.concatenate([geometry.rotate(s[f"{segment}_quat"], normals) for segment, normals in pairs])
 
+    def _places(self, s: Sensors):
+        """Of all points vectors [52, 3] from the tool, unit vectors [52, 3] out of the skin, and ways [52] in m."""
+        vectors, normals = self.to_points(s), self.out_of_skin(s)
+        ways = norm(vectors)
+        if self.config.sided:
+            axes = geometry.rotate(jnp.stack([s[f"{segment}_quat"] for segment in SEGMENTS]), self._axis)
+            ways += geometry.arc(vectors, normals, axes[self.segment], self._radius[self.segment])
+        return vectors, normals, ways
+
     def _target(self, s: Sensors, state: BedBathState):
         """The nearest point not yet visited, the nearest of all at the end.
 
         In world axes the vector [3] from the tool to it, the unit vector [3] out of the skin there, and the length of
         the way to it in m.
         """
-        vectors, normals = self.to_points(s), self.out_of_skin(s)
-        ways = norm(vectors)
-        if self.config.sided:
-            axes = geometry.rotate(jnp.stack([s[f"{segment}_quat"] for segment in SEGMENTS]), self._axis)
-            ways += geometry.arc(vectors, normals, axes[self.segment], self._radius[self.segment])
+        vectors, normals, ways = self._places(s)
         skip = state.visited & ~state.visited.all()
         nearest = jnp.argmin(jnp.where(skip, jnp.inf, ways))
         return vectors[nearest], normals[nearest], ways[nearest]
@@ -154,16 +160,22 @@ class BedBath:
         return blocks
 
     def reward_terms(self, s: Sensors, state: BedBathState):
-        to_target, normal, way = self._target(s, state)
-        reached = reach(way)
-        if self.config.sided:
-            shown = exposed(self._dirty_side(s, state), s["tool_pos"] + to_target, self._robot)
-            flat = facing(-normal, geometry.matrix(s["tool_quat"])[:, 2])
-            reached *= jnp.where(state.visited.all(), 1.0, shown * flat)
+        reached = self._reach(s, state) if self.config.reach_each else reach(self._target(s, state)[2])
         return {
             "reach": reached,
             "wipe": self.config.wipe_scale * state.newly * (len(self.segment) / state.dirty.sum()),
         }
+
+    def _reach(self, s: Sensors, state: BedBathState):
+        """The mean over the dirty points: 1 of those that are washed, so that washing one never costs anything later.
+
+        Of the others as much as the pad is near and flat to the skin there, and as that skin faces the robot.
+        """
+        vectors, normals, ways = self._places(s)
+        shown = jax.vmap(exposed, (0, 0, None))(normals, s["tool_pos"] + vectors, self._robot)
+        flat = jax.vmap(facing, (0, None))(-normals, geometry.matrix(s["tool_quat"])[:, 2])
+        paid = jnp.where(state.visited, 1.0, reach(ways) * shown * flat)
+        return paid @ state.dirty / state.dirty.sum()
 
     def advance(self, s: Sensors, state: BedBathState) -> BedBathState:
         c = self.config
@@ -224,6 +236,7 @@ SPECS = (
         BedBathConfig(
             around=True,
             sided=True,
+            reach_each=True,
             dirty=pi / 3,
             touch_force=0.5,
             most_force=15.0,
