@@ -125,9 +125,9 @@ def test_the_offering_person_teaches_what_it_does():
 
 def test_teachers_that_cannot_teach_are_refused():
     env = assistax.make("feeding", engine="mujoco")
-    with pytest.raises(UsageError, match="human is a frozen partner, who does not learn"):
-        PPO(env, replace(QUICK, teachers=("human=offer",)), 4, 1, {"human": Player(Still(2))})
-    for name, message in (("human=expert", "human's policy"), ("dog=offer", "agent"), ("human", "human's policy")):
+    beside_a_frozen_person = PPO(env, replace(QUICK, teachers=("human=offer",)), 4, 1, {"human": Player(Still(2))})
+    assert not beside_a_frozen_person.teacher.players
+    for name, message in (("human=expert", "human's policy"), ("dog=offer", "agent of ppo.teachers"), ("human", "human's policy")):
         with pytest.raises(UsageError, match=message):
             PPO(env, replace(QUICK, teachers=(name,)), 4, 1)
     with pytest.raises(UsageError, match="teaching_coef must be 0 or more"):

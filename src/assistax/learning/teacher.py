@@ -11,7 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from assistax.errors import UsageError, choose
+from assistax.errors import choose
 from assistax.learning.partners import act_as_members
 from assistax.policies import Player
 from assistax.policies.scripted import scripted_policy
@@ -24,7 +24,7 @@ class Teacher:
       env: an `assistax.env.Env`, whose state the scripts may see.
       num_envs: environments stepped side by side.
       names: "human=offer": whom each teaches, and as who.
-      learners: who learns at all.
+      learners: who learns at all; frozen partners are taught nothing.
     """
 
     def __init__(self, env, num_envs: int, names: Iterable[str], learners: tuple[str, ...]):
@@ -32,9 +32,8 @@ class Teacher:
         self.players: dict[str, Player] = {}
         for text in names:
             agent, _, name = text.partition("=")
-            if choose("agent", agent, env.agents) not in learners:
-                raise UsageError(f"ppo.teachers has {text!r}, and the {agent} is a frozen partner, who does not learn.")
-            self.players[agent] = Player(scripted_policy(name, env, agent))
+            if choose("agent of ppo.teachers", agent, env.agents) in learners:
+                self.players[agent] = Player(scripted_policy(name, env, agent))
 
     def init(self) -> dict[str, Any]:
         """What each script remembers, by the learner that it teaches [num_envs, ...]."""
