@@ -40,6 +40,8 @@ KEPT = ("config.json", "evaluations.jsonl", "summary.json", "learning_curve.png"
 
 
 class Experiment(Protocol):
+    """What `assistax reproduce` lists and does."""
+
     shows: ClassVar[str]
 
     @property

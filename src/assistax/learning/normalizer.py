@@ -8,12 +8,15 @@ from assistax.pytree import pytree
 
 @pytree
 class RunningStats:
+    """Mean and spread of what was seen so far, by entry; see `update_stats`."""
+
     count: jax.Array  # float32
     mean: jax.Array  # [n]
     m2: jax.Array  # [n] sum of squared deviations from the mean
 
 
 def init_stats(size: int) -> RunningStats:
+    """Of nothing yet, for observations of this size."""
     return RunningStats(jnp.float32(0.0), jnp.zeros(size), jnp.zeros(size))
 
 

@@ -22,6 +22,8 @@ from assistax.tasks.rewards import reach, rotation, waist
 
 @dataclass(frozen=True)
 class ArmAssistConfig:
+    """The numbers in which versions differ; the defaults are version 0's."""
+
     waist_scale: float = 10.0  # of the waist term
     waist_width: float = 0.1  # m, from the waist, within which most of the waist term is paid
     rotation_scale: float = 0.1  # of the rotation term
@@ -37,11 +39,15 @@ class ArmAssistConfig:
 
 @pytree
 class ArmAssistState:
+    """What an episode has come to, beside the physics."""
+
     seconds_at_waist: jax.Array
     thrown: jax.Array  # bool: faster than the carrying speed since it last lay still away from the waist
 
 
 class ArmAssist:
+    """The task itself; see `tasks.base.Task` for what each method returns."""
+
     title: ClassVar[str] = "Lift a person's weak right arm back to the waist"
     config_type = ArmAssistConfig
 

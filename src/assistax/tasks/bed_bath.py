@@ -27,6 +27,8 @@ GOLDEN = pi * (3.0 - 5.0**0.5)  # rad, from one point to the next around a limb:
 
 @dataclass(frozen=True)
 class BedBathConfig:
+    """The numbers in which versions differ; the defaults are version 0's."""
+
     near: float = 0.05  # m, a point is being washed while the pad's centre is nearer than this ...
     touch_force: float = 1e-3  # N, ... the pad presses with more than this; 0 up to rounding
     most_force: float = 1e6  # N, ... and with no more than this,
@@ -46,6 +48,8 @@ class BedBathConfig:
 
 @pytree
 class BedBathState:
+    """What an episode has come to, beside the physics."""
+
     dirty: jax.Array  # [52] bool, what was to be washed at the start
     visited: jax.Array  # [52] bool, or washed, or clean from the start
     seconds: jax.Array  # [52] of washing
@@ -53,6 +57,8 @@ class BedBathState:
 
 
 class BedBath:
+    """The task itself; see `tasks.base.Task` for what each method returns."""
+
     title: ClassVar[str] = "Wipe the right arm of a person in bed"
     config_type = BedBathConfig
 
@@ -174,7 +180,7 @@ class BedBath:
         vectors, normals, ways = self._places(s)
         shown = jax.vmap(exposed, (0, 0, None))(normals, s["tool_pos"] + vectors, self._robot)
         flat = jax.vmap(facing, (0, None))(-normals, geometry.matrix(s["tool_quat"])[:, 2])
-        paid = jnp.where(state.visited, 1.0, reach(ways) * shown * flat)
+        paid = jnp.where(state.visited, 1.0, reach(ways) * (1.0 + shown + flat) / 3.0)
         return paid @ state.dirty / state.dirty.sum()
 
     def advance(self, s: Sensors, state: BedBathState) -> BedBathState:

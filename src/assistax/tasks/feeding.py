@@ -24,6 +24,8 @@ GRAVITY = 9.81  # m/s²
 
 @dataclass(frozen=True)
 class FeedingConfig:
+    """The numbers in which versions differ; the defaults are version 0's."""
+
     reach_scale: float = 2.0  # of the reach term
     speed: float = 0.20  # m/s, v*_app far from the mouth
     force: float = 1.0  # N, f* of the contact term
@@ -48,6 +50,8 @@ class FeedingConfig:
 
 @pytree
 class FeedingState:
+    """What an episode has come to, beside the physics."""
+
     spilled: jax.Array  # bool
     mouth_seconds: jax.Array  # at the mouth, with the food
     tipped_seconds: jax.Array  # tipped too far on the way
@@ -56,6 +60,8 @@ class FeedingState:
 
 
 class Feeding:
+    """The task itself; see `tasks.base.Task` for what each method returns."""
+
     title: ClassVar[str] = "Feed a person with a spoon"
     config_type = FeedingConfig
 

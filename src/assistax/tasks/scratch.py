@@ -25,6 +25,8 @@ TOUCHING = 1e-3  # N, a contact; 0 up to rounding
 
 @dataclass(frozen=True)
 class ScratchConfig:
+    """The numbers in which versions differ; the defaults are version 0's."""
+
     near: float = 0.1  # m, the scratch term counts when the tool is nearer than this
     speed: float = 0.1  # m/s, v* of the scratch term
     force: float = 3.0  # N, f* of the scratch term
@@ -45,12 +47,16 @@ class ScratchConfig:
 
 @pytree
 class ScratchState:
+    """What an episode has come to, beside the physics."""
+
     segment: jax.Array  # int32: index into SEGMENTS
     itch: jax.Array  # [3] m, the itch in the segment's body frame
     scratch_seconds: jax.Array
 
 
 class Scratch:
+    """The task itself; see `tasks.base.Task` for what each method returns."""
+
     title: ClassVar[str] = "Scratch an itch on the person's right arm"
     config_type = ScratchConfig
 

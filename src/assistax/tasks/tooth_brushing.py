@@ -22,6 +22,8 @@ from assistax.tasks.rewards import alignment, boltzmann, envelope
 
 @dataclass(frozen=True)
 class ToothBrushingConfig:
+    """The numbers in which versions differ; the defaults are version 0's."""
+
     reach_scale: float = 2.0  # of the reach term
     brush_scale: float = 1.0  # of the brush term
     align_inward: bool = False  # whether bristles are to look along the mouth's axis, or at its middle
@@ -38,10 +40,14 @@ class ToothBrushingConfig:
 
 @pytree
 class ToothBrushingState:
+    """What an episode has come to, beside the physics."""
+
     brush_seconds: jax.Array
 
 
 class ToothBrushing:
+    """The task itself; see `tasks.base.Task` for what each method returns."""
+
     title: ClassVar[str] = "Brush a person's teeth"
     config_type = ToothBrushingConfig
 

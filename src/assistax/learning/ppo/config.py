@@ -12,6 +12,8 @@ QUIETER = 0.75  # of a run, after which exploration has come down to final_log_s
 
 @dataclass(frozen=True)
 class PPOConfig:
+    """The defaults are where the paper is silent; presets and `--set ppo.NAME=VALUE` change them."""
+
     central_critic: bool = False  # critics see the global state (MAPPO) instead of the agent's own observation (IPPO)
     recurrent: bool = False  # in actors a GRU of hidden[0] units in place of the first layer
     partner_code: int = 0  # numbers in which a model of the partners (LIAM), a GRU, tells the actor of them; 0: none
@@ -92,8 +94,10 @@ class PPOConfig:
 
     @property
     def remembers(self) -> bool:
+        """Whether actors have a memory, a GRU of their own or of a model of their partners."""
         return self.recurrent or self.partner_code > 0
 
     @property
     def constrained(self) -> bool:
+        """Whether cost has a limit."""
         return self.cost_limit is not None and self.cost_limit < math.inf

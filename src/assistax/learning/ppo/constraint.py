@@ -27,6 +27,7 @@ class Constraint:
 
 
 def init_constraint(num_envs: int) -> Constraint:
+    """At the start: nothing has cost anything, the multiplier is 0."""
     zero = jnp.zeros(())
     return Constraint(jnp.zeros(num_envs), zero, zero, zero, zero, zero)
 

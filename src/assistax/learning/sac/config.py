@@ -11,6 +11,8 @@ MOST_AT_ONCE = 2**24  # transitions in a gradient step: some 10 GB of them
 
 @dataclass(frozen=True)
 class SACConfig:
+    """The defaults are where the paper is silent; presets and `--set sac.NAME=VALUE` change them."""
+
     joint_critics: bool = True  # critics see both agents (MASAC) instead of their own alone (ISAC)
     actor_learning_rate: float = 3e-4  # of Adam
     critic_learning_rate: float = 1e-3  # of Adam

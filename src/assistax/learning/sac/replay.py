@@ -10,6 +10,8 @@ from assistax.pytree import pytree
 
 @pytree
 class Replay:
+    """The newest transitions, in a ring; each array is [capacity, ...]."""
+
     rows: Any  # any pytree of [capacity, ...]
     next: jax.Array  # int32, where the next chunk goes
     size: jax.Array  # int32, rows written so far, at most the capacity
