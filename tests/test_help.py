@@ -133,14 +133,30 @@ def test_the_nearest_dirt_is_seen_and_every_dirty_point_pays_its_share_of_reach(
     nearest = np.where(np.asarray(state.visited), np.inf, ways).argmin()
     now = {name: jnp.asarray(x[0], jnp.float32) for name, x in s.items()}
     np.testing.assert_allclose(env.task.observe(now, state)["target_normal"], normals[nearest], atol=1e-5)
-    side = np.mean([normal for normal, clean in zip(normals, state.visited, strict=True) if not clean], 0)
-    np.testing.assert_allclose(env.task.observe(now, state)["dirty_side"], side, atol=1e-5)
+    seen = env.task.observe(now, state)
+    left = ~np.asarray(state.visited)
+    for i, segment in enumerate((slice(0, 29), slice(29, 52))):
+        body = env.model.body(bodies[segment.start]).id
+        limb = scenes.geometry.capsule(env.model, bodies[segment.start])
+        data = mujoco.MjData(env.model)
+        mujoco.mj_resetDataKeyframe(env.model, data, env.model.key("start").id)
+        mujoco.mj_kinematics(env.model, data)
+        np.testing.assert_allclose(
+            seen["arm_axes"][3 * i : 3 * i + 3], data.xmat[body].reshape(3, 3) @ limb.axis, atol=1e-5
+        )
+        normal = np.mean(np.array(normals)[segment][left[segment]], 0) if left[segment].any() else np.zeros(3)
+        np.testing.assert_allclose(seen["dirt_normals"][3 * i : 3 * i + 3], normal, atol=1e-5)
+        vector = (
+            np.mean(np.array(places)[segment][left[segment]], 0) - s["tool_pos"][0] if left[segment].any() else normal
+        )
+        np.testing.assert_allclose(seen["dirt_vectors"][3 * i : 3 * i + 3], vector, atol=1e-5)
+        assert float(seen["dirt_left"][i]) == pytest.approx(left[segment].sum() / np.asarray(state.dirty).sum())
     pad = np.zeros(9)
     mujoco.mju_quat2Mat(pad, np.asarray(s["tool_quat"][0], float))
     paid = []
     for i in np.flatnonzero(np.asarray(state.dirty)):
         flat = 0.5 - 0.5 * normals[i] @ pad.reshape(3, 3)[:, 2]
-        paid.append(np.exp(-(ways[i] ** 2) / 0.1) * facing(env, normals[i], places[i]) * flat)
+        paid.append(np.exp(-(ways[i] ** 2) / 0.1) * (1.0 + facing(env, normals[i], places[i]) + flat) / 3.0)
         if i in washed:
             paid[-1] = 1.0
     assert float(env.task.reward_terms(now, state)["reach"]) == pytest.approx(np.mean(paid), abs=1e-5)

@@ -35,7 +35,7 @@ class BedBathConfig:
     speed: tuple[float, float] = (0.0, 1e3)  # m/s, ... at a speed within these,
     wash_seconds: float = 0.0  # s, and is done, once for all, after so long in all; 0: at once, merely visited
     wipe_scale: float = 3.0  # per newly visited point; more if fewer than 52 are dirty, the same in all
-    sided: bool = False  # whether observations tell on which side dirt is, and the way to it leads around the limb
+    sided: bool = False  # whether observations tell on which side how much dirt is, and the way leads around the limb
     reach_each: bool = False  # whether every dirty point pays a share of reach, all of it once it is washed, see _reach
     # Where the points are: all around the arm, or between fractions of the segment's length from its start, and up to
     # this angle to either side of up.
@@ -134,8 +134,7 @@ class BedBath:
         vectors, normals = self.to_points(s), self.out_of_skin(s)
         ways = norm(vectors)
         if self.config.sided:
-            axes = geometry.rotate(jnp.stack([s[f"{segment}_quat"] for segment in SEGMENTS]), self._axis)
-            ways += geometry.arc(vectors, normals, axes[self.segment], self._radius[self.segment])
+            ways += geometry.arc(vectors, normals, self._axes(s)[self.segment], self._radius[self.segment])
         return vectors, normals, ways
 
     def _target(self, s: Sensors, state: BedBathState):
@@ -149,9 +148,17 @@ class BedBath:
         nearest = jnp.argmin(jnp.where(skip, jnp.inf, ways))
         return vectors[nearest], normals[nearest], ways[nearest]
 
-    def _dirty_side(self, s: Sensors, state: BedBathState):
-        """Mean [3] of the unit vectors out of the skin at the points not yet visited, in world axes; 0 at the end."""
-        return ~state.visited @ self.out_of_skin(s) / jnp.maximum((~state.visited).sum(), 1)
+    def _axes(self, s: Sensors):
+        """Unit vectors [2, 3] along the segments, in world axes."""
+        return geometry.rotate(jnp.stack([s[f"{segment}_quat"] for segment in SEGMENTS]), self._axis)
+
+    def _dirt(self, s: Sensors, state: BedBathState):
+        """What is left, by segment: the mean vector [2, 3] to it from the tool, its mean outward normal [2, 3], both 0
+        where nothing is, and which share [2] of all that was dirty it is."""
+        left = (jnp.arange(len(SEGMENTS))[:, None] == self.segment) & ~state.visited
+        count = left.sum(1)
+        vectors, normals = (left @ x / jnp.maximum(count, 1)[:, None] for x in (self.to_points(s), self.out_of_skin(s)))
+        return vectors, normals, count / state.dirty.sum()
 
     def observe(self, s: Sensors, state: BedBathState):
         vector, normal, _ = self._target(s, state)
@@ -162,7 +169,14 @@ class BedBath:
             "target_distance": norm(vector)[None],
         }
         if self.config.sided:
-            blocks |= {"target_normal": normal, "dirty_side": self._dirty_side(s, state)}
+            vectors, normals, share = self._dirt(s, state)
+            blocks |= {
+                "target_normal": normal,
+                "arm_axes": self._axes(s).ravel(),
+                "dirt_vectors": vectors.ravel(),
+                "dirt_normals": normals.ravel(),
+                "dirt_left": share,
+            }
         return blocks
 
     def reward_terms(self, s: Sensors, state: BedBathState):
