@@ -108,13 +108,14 @@ def test_the_list_begins_with_five_seeds_of_every_task():
     assert names[0] == "version1/scratch-ippo-default-10M-0"
     assert all(name.startswith("version1/") and "-ippo-default-" in name for name in names[:25])
     assert sum("-10M-" in name for name in names[:25]) == 10  # scratch and bed bath
-    assert sum("-4M-" in name for name in names[:25]) == 15
+    assert sum("-2M-" in name for name in names[:25]) == 15
     assert {name[-1] for name in names[:25]} == set("01234")
     for pattern, count in {
         "still": 15,
         "-preferences-10M-": 6 + 20,
-        "-preferences-4M-": 9,
+        "-preferences-2M-": 9,
         "version1/feeding-ippo-default-tremor-": 1,
+        "-untaught-4M-": 9,
     }.items():
         assert len([name for name in names if pattern in name]) == count, pattern
 
@@ -123,11 +124,11 @@ def test_a_person_who_does_nothing_is_a_frozen_partner(tmp_path, monkeypatch):
     asked = []
     monkeypatch.setattr("assistax.training.run.Run.create", lambda config, folder: asked.append(config))
     monkeypatch.setattr("assistax.training.loop.train", lambda run, seconds: None)
-    for pattern in ("version1/feeding-ippo-default-still-4M-0", "feeding-ippo-default-tremor+weakness-10M-0"):
+    for pattern in ("version1/feeding-ippo-default-still-2M-0", "feeding-ippo-default-tremor+weakness-10M-0"):
         (experiment,) = [e for e in experiments() if e.name == pattern]
         assert experiment.advance(tmp_path / "none", 1.0) is None
     still, trembling = asked
-    assert still.task == "feeding-v1" and still.partners == ("human=still",) and still.steps == 4_000_000
+    assert still.task == "feeding-v1" and still.partners == ("human=still",) and still.steps == 2_000_000
     assert trembling.task == "feeding-v0" and trembling.env.human.disability == "tremor+weakness"
 
 

@@ -14,6 +14,7 @@ from assistax.learning.ppo import PPO, PPOConfig
 from assistax.learning.teacher import Teacher, imitation_loss, teaching_weight
 from assistax.policies import Player, Still
 from assistax.training.checkpoint import load_checkpoint, save_checkpoint
+from assistax.training.configuration import configure
 
 QUICK = PPOConfig(learning_rate=3e-3, entropy_coef=0.0, hidden=(16,), num_steps=10, update_epochs=4, num_minibatches=2)
 QUICK = replace(QUICK, initial_log_std=-2.0, gamma=0.9)
@@ -123,11 +124,27 @@ def test_the_offering_person_teaches_what_it_does():
     assert np.abs(shown["human"]).max() > 0.01
 
 
+def test_the_default_preset_of_version_1_has_teachers():
+    both = ("robot=expert", "human=offer")
+    assert (
+        configure("feeding", {}).method.teachers == configure("feeding", {}, algorithm="mappo").method.teachers == both
+    )
+    assert configure("scratch", {}).method.teachers == both[1:]
+    assert configure("feeding-v0", {}).method.teachers == configure("feeding", {}, preset="paper").method.teachers == ()
+    # The scripted robot plays with torques.
+    assert configure("feeding", {"env.control": "position"}).method.teachers == both[1:]
+    assert configure("feeding", {"ppo.teachers": ()}).method.teachers == ()
+
+
 def test_teachers_that_cannot_teach_are_refused():
     env = assistax.make("feeding", engine="mujoco")
     beside_a_frozen_person = PPO(env, replace(QUICK, teachers=("human=offer",)), 4, 1, {"human": Player(Still(2))})
     assert not beside_a_frozen_person.teacher.players
-    for name, message in (("human=expert", "human's policy"), ("dog=offer", "agent of ppo.teachers"), ("human", "human's policy")):
+    for name, message in (
+        ("human=expert", "human's policy"),
+        ("dog=offer", "agent of ppo.teachers"),
+        ("human", "human's policy"),
+    ):
         with pytest.raises(UsageError, match=message):
             PPO(env, replace(QUICK, teachers=(name,)), 4, 1)
     with pytest.raises(UsageError, match="teaching_coef must be 0 or more"):

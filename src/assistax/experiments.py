@@ -25,13 +25,17 @@ from assistax.training.presets import TASKS
 
 ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
 STEPS = {"default": 10_000_000, "paper": 40_000_000}  # of PPO by preset; ours take half an hour
-SHORT = 4_000_000  # of our PPO where it is enough: in tasks of version 1 that do not need the person
+SHORT = 2_000_000  # of our PPO where it is enough: in tasks of version 1 that do not need the person
 NEED_TWO = ("scratch", "bed_bath")
+UNTAUGHT = "-untaught"  # what are the teachers worth?
 SAC_STEPS = {"default": 3_000_000, "paper": 6_000_000}
 STILL = "-still"  # the robot learns beside a person who does nothing: what is the person's help worth?
-PEOPLE: dict[str, dict[str, Any]] = {  # by suffix of the experiment's name
+PEOPLE: dict[
+    str, dict[str, Any]
+] = {  # who the person is and how it begins to learn, by suffix of the experiment's name
     "": {},
     STILL: {},
+    UNTAUGHT: {"ppo.teachers": (), "ppo.initial_log_std": -1.0},
     "-preferences": {"env.human.preference": "sweep"},
     **{f"-{name}": {"env.human.disability": name} for name in DISABILITIES},
 }
@@ -162,6 +166,8 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     yield from _trainings("mappo", "default", "", seeds or 3)
     for name in DISABILITIES:
         yield from _trainings("ippo", "default", f"-{name}", seeds or 1, tasks=some[1:])
+    easier = [task for task in TASKS if task not in NEED_TWO]
+    yield from _trainings("ippo", "default", UNTAUGHT, seeds or 3, 4_000_000, tasks=easier)
     for algorithm in ("ippo-rnn", "mappo-rnn"):
         yield from _trainings(algorithm, "default", "", seeds or 2, tasks=some)
     yield from _trainings("masac", "default", "", seeds or 3, tasks=some)

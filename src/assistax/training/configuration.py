@@ -124,6 +124,8 @@ def configure(task: str, settings: dict[str, Any], recurrent=False, share_parame
     name = given.get("preset", "default")
     row = preset(name, algorithm.name, task, switches["recurrent"])
     row |= {switch: value for switch, value in switches.items() if switch in known}
+    if settings.get("env.control", "torque") != "torque":  # the scripted robot plays with torques
+        row |= {"teachers": tuple(one for one in row["teachers"] if "robot=" not in one)} if "teachers" in row else {}
     method = with_settings(algorithm.config_type(**algorithm.switches), row)
     fields: dict[str, Any] = {"num_envs": num_envs(name, algorithm.name), "method": method} | given
     config = TrainConfig(spec.id, task_config=spec.config, **fields)

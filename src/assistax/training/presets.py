@@ -100,11 +100,18 @@ _OURS = {
 # From version 1 of the tasks on, beside the above: docs/findings.md shows what each is worth.
 _HELPING = {
     "learning_rate": 7e-4,  # no KL of an iteration came near desired_kl with half of it
+    "teachers": ("robot=expert", "human=offer"),  # without, one of three seeds never fed anybody
+    "teaching_steps": 1_000_000,
+    "initial_log_std": -1.5,  # what is shown can be seen through it
     "final_log_std": -3.0,  # 0.05: the noise shall not do what the robot should
     "exploration_steps": 4_000_000,  # until then, however long a run: docs/findings.md, "Short runs explore too little"
     "cost_limit": 2.0,  # of an episode, on average
 }
-_LIMITS = {  # of cost where 2 is not right
+_BY_TASK: dict[str, dict[str, Any]] = {  # where that is not right
+    "scratch": {
+        "teachers": ("human=offer",),  # a robot that imitates the expert hovers over the itch
+        "teaching_steps": 3_000_000,
+    },
     "bed_bath": {"cost_limit": 5.0},  # a robot that washes well has 3.8
     "arm_assist": {"cost_limit": 5.0},  # with 2 the arm is lifted later; in the end it costs 0.3 to 1.6 either way
     "feeding": {"cost_limit": 0.5},  # with 2 a team fed everybody and hit the face with 55 N once in an episode
@@ -144,7 +151,7 @@ def preset(name: str, algorithm: str, task: str, recurrent: bool = False) -> dic
         raise UsageError(f"The preset {name!r} has no settings for {algorithm}{' with a GRU' * recurrent}.")
     bare = task.partition("-v")[0]  # versions of a task share its row
     if name == "default":
-        helping = _HELPING | _LIMITS.get(bare, {}) if "sac" not in row and not task.endswith("-v0") else {}
+        helping = _HELPING | _BY_TASK.get(bare, {}) if "sac" not in row and not task.endswith("-v0") else {}
         return dict(next(iter(rows[row].values()))) | helping
     if bare not in rows[row]:
         raise UsageError(f"The preset {name!r} has no settings for {bare!r}; it has {', '.join(rows[row])}.")
