@@ -110,7 +110,7 @@ def test_tables_show_what_is_missing(run):
 
 
 def test_presets_fall_back_to_the_default_row(package):
-    ours, theirs = configure("scratch", {}), configure("showing", {})
+    ours, theirs = configure("scratch-v0", {}), configure("showing", {})
     assert theirs.method == ours.method and theirs.num_envs == ours.num_envs and theirs.task == "showing-v0"
     assert configure("showing", {}, algorithm="evolution").method == package["algorithm"].EvolutionConfig()
     for choices in ({}, {"algorithm": "evolution"}):

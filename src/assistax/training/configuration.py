@@ -122,7 +122,7 @@ def configure(task: str, settings: dict[str, Any], recurrent=False, share_parame
         raise UsageError(f"--{absent[0].replace('_', '-')} does not exist for {algorithm.name}.")
     switches["recurrent"] = recurrent or settings.get(f"{algorithm.group}.recurrent") is True
     name = given.get("preset", "default")
-    row = preset(name, algorithm.name, task, switches["recurrent"])
+    row = preset(name, algorithm.name, spec.id, switches["recurrent"])
     row |= {switch: value for switch, value in switches.items() if switch in known}
     if settings.get("env.control", "torque") != "torque":  # the scripted robot plays with torques
         row |= {"teachers": tuple(one for one in row["teachers"] if "robot=" not in one)} if "teachers" in row else {}
