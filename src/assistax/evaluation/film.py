@@ -4,6 +4,7 @@ import atexit
 import os
 import warnings
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -33,7 +34,7 @@ class Camera(Stage):
         self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
         self.view: str | mujoco.MjvCamera = view
         self.width, self.height = width, height
-        _check_backend()
+        _headless()
         try:
             self._renderer = mujoco.Renderer(self.model, height, width)
         except Exception as error:  # every OpenGL backend fails with an error of its own
@@ -132,11 +133,11 @@ def film(filmed: Filmed, path: Path, plain: bool = False, view: str = "auto", **
     write_atomically(path, content)
 
 
-def _check_backend() -> None:
-    """Raise UsageError if MuJoCo was imported before the package could say how to render without a display."""
-    chosen = getattr(mujoco, "GLContext", None)
-    if os.environ.get("MUJOCO_GL") == "egl" and chosen is not None and "glfw" in chosen.__module__:
-        raise UsageError(
-            "Cannot render here: mujoco was imported before assistax, and looks for a display. Import assistax first, "
-            "or set MUJOCO_GL=egl before Python starts."
-        )
+def _headless() -> None:
+    """Let MuJoCo render without a display, too, if it was imported before the package could say so."""
+    if os.environ.get("MUJOCO_GL") == "egl":
+        with suppress(ImportError):  # then it fails, and says what to install
+            from mujoco.egl import GLContext
+            from mujoco.rendering.classic import gl_context
+
+            gl_context.GLContext = GLContext
