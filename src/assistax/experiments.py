@@ -21,13 +21,13 @@ from assistax.executors.jobs import Job, is_worker
 from assistax.executors.jobs import work as carry_out
 from assistax.files import write_atomically
 from assistax.human import DISABILITIES
-from assistax.training.presets import TASKS
+from assistax.training.presets import TASKS, UNTAUGHT
 
 ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
 STEPS = {"default": 10_000_000, "paper": 40_000_000}  # of PPO by preset; ours take half an hour
 SHORT = 2_000_000  # of our PPO where it is enough: in tasks of version 1 that do not need the person
 NEED_TWO = ("scratch", "bed_bath")
-UNTAUGHT = "-untaught"  # what are the teachers worth?
+ALONE = "-untaught"  # what are the teachers worth?
 SAC_STEPS = {"default": 3_000_000, "paper": 6_000_000}
 STILL = "-still"  # the robot learns beside a person who does nothing: what is the person's help worth?
 PEOPLE: dict[
@@ -35,7 +35,7 @@ PEOPLE: dict[
 ] = {  # who the person is and how it begins to learn, by suffix of the experiment's name
     "": {},
     STILL: {},
-    UNTAUGHT: {"ppo.teachers": (), "ppo.initial_log_std": -1.0},
+    ALONE: UNTAUGHT,
     "-preferences": {"env.human.preference": "sweep"},
     **{f"-{name}": {"env.human.disability": name} for name in DISABILITIES},
 }
@@ -167,7 +167,7 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     for name in DISABILITIES:
         yield from _trainings("ippo", "default", f"-{name}", seeds or 1, tasks=some[1:])
     easier = [task for task in TASKS if task not in NEED_TWO]
-    yield from _trainings("ippo", "default", UNTAUGHT, seeds or 3, 4_000_000, tasks=easier)
+    yield from _trainings("ippo", "default", ALONE, seeds or 3, 4_000_000, tasks=easier)
     for algorithm in ("ippo-rnn", "mappo-rnn"):
         yield from _trainings(algorithm, "default", "", seeds or 2, tasks=some)
     yield from _trainings("masac", "default", "", seeds or 3, tasks=some)

@@ -22,12 +22,14 @@ from assistax.executors.jobs import Job, is_worker, work
 from assistax.files import read_json, write_json
 from assistax.formats import PLAN
 from assistax.human import Person
+from assistax.learning.algorithms import ALGORITHMS
 from assistax.tasks import task_spec
 from assistax.teamwork.gather import gather
 from assistax.training import loop
 from assistax.training.clock import progress_bar
 from assistax.training.configuration import TrainConfig, configure
 from assistax.training.population import MANIFEST, Population
+from assistax.training.presets import UNTAUGHT
 from assistax.training.run import Run
 
 WORKERS = "workers"  # folder of their claims and logs
@@ -60,7 +62,9 @@ class Plan:
             for algorithm in self.algorithms:
                 for seed in range(self.seeds):
                     name = f"{i:04d}-{algorithm}-{seed}"
-                    settings = {"snapshots": True} | dict(self.settings) | who
+                    # People who were taught by one script would all be alike.
+                    alone = UNTAUGHT if ALGORITHMS[algorithm].group == "ppo" else {}
+                    settings = {"snapshots": True} | alone | dict(self.settings) | who
                     choices = {"algorithm": algorithm, "seed": seed, "steps": self.steps, "num_envs": self.num_envs}
                     yield name, configure(self.task, settings, **choices)
 

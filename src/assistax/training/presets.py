@@ -107,6 +107,7 @@ _HELPING = {
 # Where that is not right, and where scripted teachers help to find the way: docs/findings.md, "Teachers". Noise is then
 # less from the start, as what is shown has to be seen through it.
 _TAUGHT = {"initial_log_std": -1.5, "teachers": ("robot=expert", "human=offer"), "teaching_steps": 1_000_000}
+UNTAUGHT = {"ppo.teachers": (), "ppo.initial_log_std": -1.0}  # the settings of those who find the way by themselves
 _BY_TASK: dict[str, dict[str, Any]] = {
     # A robot that imitates the expert of scratch hovers over the itch.
     "scratch": _TAUGHT | {"teachers": ("human=offer",), "teaching_steps": 3_000_000},
