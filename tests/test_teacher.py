@@ -10,9 +10,11 @@ from games import Meeting
 
 import assistax
 from assistax.errors import UsageError
+from assistax.human import Person
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.learning.teacher import Teacher, imitation_loss, teaching_weight
 from assistax.policies import Player, Still
+from assistax.teamwork.plan import Plan
 from assistax.training.checkpoint import load_checkpoint, save_checkpoint
 from assistax.training.configuration import configure
 
@@ -134,6 +136,10 @@ def test_the_default_preset_of_version_1_has_teachers():
     # The scripted robot plays with torques.
     assert configure("feeding", {"env.control": "position"}).method.teachers == both[1:]
     assert configure("feeding", {"ppo.teachers": ()}).method.teachers == ()
+    # People of a population would all be alike if one script had taught them.
+    plan = Plan("feeding", (Person(),), ("ippo", "masac"))
+    (_, alone), (_, _) = plan.jobs()
+    assert alone.method.teachers == () and alone.method.initial_log_std == -1.0
 
 
 def test_teachers_that_cannot_teach_are_refused():
