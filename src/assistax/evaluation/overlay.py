@@ -118,7 +118,7 @@ def lines(filmed: Filmed, i: int) -> tuple[Line, Line]:
     harmed: Line = [(force, WHITE)]
     if "clamping" not in so_far:  # version 0
         over = so_far["seconds_over_force_limit"]
-        return done, [*harmed, (f"over the limit {over:.1f} s", RED if over else GREY)]
+        return done, [*harmed, (f"over the limit {over:.1f} s", RED if over >= 0.05 else GREY)]
     over = so_far["seconds_above_comfort"]
     harmed.append((f"above comfort {over:.1f} s", AMBER if over >= 0.05 else GREY))
     hurt = [word for name, word in (("clamping", "clamped"), ("impact", "hit")) if so_far[name]]
