@@ -77,6 +77,28 @@ def face_pose(model):
     return solve(model, mouth.xpos + 0.005 * mouth.xmat.reshape(3, 3)[:, 0], tolerance=2e-3)
 
 
+@pytest.mark.parametrize(("newtons", "mm"), [(3.0, 2.4), (40.0, 3.9), (90.0, 4.5)])
+def test_skin_gives_way_the_less_the_deeper(newtons, mm):
+    """The stick pressed on the forearm with a constant force for 1.2 s: what the page of all tasks says."""
+    model = env_of("scratch").model
+    data, jac = mujoco.MjData(model), np.zeros((3, model.nv))
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    data.qpos = touching_pose(model)
+    arm, limb, tip = scenes.qpos_ids(model, scenes.PANDA.joints), data.geom("right_forearm"), data.site("tool_tip")
+    motors = [model.actuator(joint).id for joint in scenes.PANDA.joints]
+    mujoco.mj_forward(model, data)
+    for _ in range(600):
+        mujoco.mj_jacSite(model, data, jac, None, tip.id)
+        axis, way = limb.xmat.reshape(3, 3)[:, 2], limb.xpos - tip.xpos
+        way = way - axis * (axis @ way)
+        data.ctrl[motors] = newtons * jac[:, arm].T @ way / np.linalg.norm(way) - 8.0 * data.qvel[arm]
+        mujoco.mj_step(model, data)
+    tool = [geom for geom in range(model.ngeom) if model.geom_bodyid[geom] == model.body("tool").id]
+    depths = [-contact.dist for contact in data.contact if limb.id in contact.geom and set(tool) & set(contact.geom)]
+    assert region_truth(model, data)[0][list(harm.REGIONS).index("forearm")] == pytest.approx(newtons, rel=0.05)
+    assert 1e3 * max(depths) == pytest.approx(mm, abs=0.2)
+
+
 def test_clamping_lasts_impact_peaks_and_cost_is_never_negative():
     """Against NumPy in float64 on random forces."""
     rng = np.random.default_rng(1)
