@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from assistax.env import AGENTS
 from assistax.errors import choose
 from assistax.learning.partners import act_as_members
 from assistax.policies import Player
@@ -24,7 +25,7 @@ class Teacher:
       env: an `assistax.env.Env`, whose state the scripts may see.
       num_envs: environments stepped side by side.
       names: "human=offer": whom each teaches, and as who.
-      learners: who learns at all; frozen partners are taught nothing.
+      learners: who learns at all; who does not, a frozen partner or nobody, is taught nothing.
     """
 
     def __init__(self, env, num_envs: int, names: Iterable[str], learners: tuple[str, ...]):
@@ -32,7 +33,7 @@ class Teacher:
         self.players: dict[str, Player] = {}
         for text in names:
             agent, _, name = text.partition("=")
-            if choose("agent of ppo.teachers", agent, env.agents) in learners:
+            if choose("agent of ppo.teachers", agent, AGENTS) in learners:
                 self.players[agent] = Player(scripted_policy(name, env, agent))
 
     def init(self) -> dict[str, Any]:
