@@ -81,6 +81,8 @@ def test_imitation_comes_first_and_reward_has_the_last_word():
     state, stats = learned(imitating, 40)
     assert abs(answer(imitating, state, 1.0) - 0.52) < 0.06, "what was shown, against the reward"
     assert float(stats["human"]["imitation_loss"]) > 0 and "imitation_loss" not in stats["robot"]
+    nothing = taught(64, 5, teaching_steps=10**9, teaching_coef=0.0)
+    assert abs(answer(nothing, learned(nothing, 5)[0], 1.0)) < 0.05, "neither reward nor what was shown"
     over = taught(64, 80, teaching_steps=10 * 64 * 20)
     state, _ = learned(over, 80)
     assert abs(answer(over, state, 1.0) + 0.25) < 0.06, "what pays, once teaching is over"

@@ -301,7 +301,7 @@ class PPO:
             ):  # the step before in the same environment, if there is one
                 part["before"] = jax.tree.map(lambda x: x[jnp.maximum(ids - self.num_envs, 0)], samples)
             part_start = jax.tree.map(lambda x: x[ids], batch["memory"])
-            grads, stats = jax.grad(partial(self._loss, c, teaching), has_aux=True)(params, part, part_start)
+            grads, stats = jax.grad(partial(self._loss, c, teaching=teaching), has_aux=True)(params, part, part_start)
             rate = c.learning_rate
             if c.anneal_learning_rate:
                 rate *= 1.0 - opt_state[0].count / self._updates
@@ -357,10 +357,10 @@ class PPO:
         quiet = {name: actor | {"log_std": jnp.minimum(actor["log_std"], most)} for name, actor in actors.items()}
         return {name: networks | {"actor": quiet[name]} for name, networks in params.items()}
 
-    def _loss(self, c, teaching, params, part, start):
+    def _loss(self, c, params, part, start, teaching=0.0):
         losses, stats = {}, {}
         for agent, networks in self.networks.of(params).items():
-            losses[agent], stats[agent] = self._agent_loss(c, teaching, agent, networks, part, start[agent])
+            losses[agent], stats[agent] = self._agent_loss(c, agent, networks, part, start[agent], teaching)
         # Shared weights learn from all agents' samples together: the mean over them.
         return sum(losses.values()) / (len(losses) if c.share_parameters else 1), stats
 
@@ -386,15 +386,15 @@ class PPO:
         return jax.lax.cond(jnp.any(part["kept"] > 0.0), played_again, lambda: jnp.zeros_like(mean))
 
     def _log_prob(self, c, agent, networks, part, start):
-        """Means [..., n], log-probabilities [...] of `part`'s actions given those before, the memory, the code."""
+        """Log-probabilities [...] of `part`'s actions given those before, means [..., n], the memory, the code."""
         actor = networks["actor"]
         mean, memory, code = unroll_actor(networks, part["obs"][agent], start, part["reset"], c.activation)
         given = () if part["kept"] is None else (self._noise_before(c, agent, actor, part, mean), part["kept"])
-        return mean, gaussian_log_prob(part[agent]["action"], mean, actor["log_std"], *given), memory, code
+        return gaussian_log_prob(part[agent]["action"], mean, actor["log_std"], *given), mean, memory, code
 
-    def _agent_loss(self, c, teaching, agent, networks, part, start):
+    def _agent_loss(self, c, agent, networks, part, start, teaching):
         x, log_std = part[agent], networks["actor"]["log_std"]
-        mean, log_prob, memory, code = self._log_prob(c, agent, networks, part, start)
+        log_prob, mean, memory, code = self._log_prob(c, agent, networks, part, start)
         log_ratio = log_prob - x["log_prob"]
         policy_loss = clipped_policy_loss(log_ratio, x["advantage"], c.clip_eps)
         clip = c.clip_eps if c.clip_value else None
