@@ -30,9 +30,8 @@ NEED_TWO = ("scratch", "bed_bath")
 ALONE = "-untaught"  # what are the teachers worth?
 SAC_STEPS = {"default": 3_000_000, "paper": 6_000_000}
 STILL = "-still"  # the robot learns beside a person who does nothing: what is the person's help worth?
-PEOPLE: dict[
-    str, dict[str, Any]
-] = {  # who the person is and how it begins to learn, by suffix of the experiment's name
+# Who the person is and how it begins to learn, by suffix of the experiment's name.
+PEOPLE: dict[str, dict[str, Any]] = {
     "": {},
     STILL: {},
     ALONE: UNTAUGHT,

@@ -111,11 +111,12 @@ UNTAUGHT = {"ppo.teachers": (), "ppo.initial_log_std": -1.0}  # the settings of 
 _BY_TASK: dict[str, dict[str, Any]] = {
     # A robot that imitates the expert of scratch hovers over the itch.
     "scratch": _TAUGHT | {"teachers": ("human=offer",), "teaching_steps": 3_000_000},
-    "bed_bath": _TAUGHT | {"cost_limit": 5.0},  # a robot that washes well has 3.8
-    "arm_assist": _TAUGHT
-    | {"cost_limit": 5.0},  # with 2 the arm is lifted later; in the end it costs 0.3 to 1.6 either way
-    "feeding": _TAUGHT
-    | {"cost_limit": 0.5},  # with 2 a team fed everybody and hit the face with 55 N once in an episode
+    # A robot that washes well has a cost of 3.8.
+    "bed_bath": _TAUGHT | {"cost_limit": 5.0},
+    # With 2 the arm is lifted later; in the end it costs 0.3 to 1.6 either way.
+    "arm_assist": _TAUGHT | {"cost_limit": 5.0},
+    # With 2 a team fed everybody and hit the face with 55 N once in an episode.
+    "feeding": _TAUGHT | {"cost_limit": 0.5},
     "tooth_brushing": _TAUGHT,
 }
 # The same for SAC.
