@@ -147,8 +147,12 @@ class Scratch:
         near = norm(self._to_itch(s, state)) < self.config.scratch_distance
         return near & (norm(self._on_segment(s, state, tool_force)) > TOUCHING)
 
+    def tool_velocity(self, s: Sensors, state: ScratchState):
+        """Seen from the segment with the itch [3], in m/s."""
+        return self._on_segment(s, state, tool_velocity)
+
     def tool_speed(self, s: Sensors, state: ScratchState):
-        return norm(self._on_segment(s, state, tool_velocity))
+        return norm(self.tool_velocity(s, state))
 
     @staticmethod
     def _on_segment(s: Sensors, state: ScratchState, of):

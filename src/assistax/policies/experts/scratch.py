@@ -9,53 +9,46 @@ from assistax.tasks.rewards import LEVEL
 
 
 class ScratchExpert(Expert):
-    """Stick on the skin with 3 N, strokes of 6 cm along the limb."""
+    """Stick on the skin with 3 N, strokes of 6 cm along the limb.
+
+    It remembers nothing: where the stick is and how it moves says what comes next, so that a learner can imitate it.
+    """
 
     stroke = 0.03  # m, to either side of the itch
     stroke_speed = 0.06
     force = 3.0
-    drag = 1.5  # N, to overcome friction
-    patience = 0.2  # s without moving
+    drag = 1.5  # N, to overcome friction; three times as much while the stick sticks
+    turning = 0.02  # m/s: slower than this, a stroke goes to the middle
+    away = 0.12  # m, from the skin, until the stick points the right way
     still = 0.3  # rad/s: while a joint of the person is faster, the robot waits
-
-    def initial_carry(self):
-        return {
-            "way": jnp.float32(1.0),
-            "stuck": jnp.float32(0.0),  # s
-            "clear": jnp.bool_(False),
-            "down": jnp.bool_(False),
-        }
 
     def goal(self, carry, s, task, pos, rot, manner):
         t = self.env.task
-        upper = task.segment == 0
-        frame = geometry.matrix(jnp.where(upper, s["upper_arm_quat"], s["forearm_quat"]))
-        origin = jnp.where(upper, s["upper_arm_pos"], s["forearm_pos"])
-        axis = frame @ t._axis[task.segment]
-        from_centre = task.itch - t._centre[task.segment]
-        normal = frame @ geometry.unit(from_centre - t._axis[task.segment] * (from_centre @ t._axis[task.segment]))
-        itch = origin + frame @ task.itch
-        along = (pos - itch) @ axis
-        off = pos - itch - along * axis
+        itch, normal, axis = t.skin(s, task)
         # Square to the skin the hand would often be out of reach: the stick leans toward the robot.
         stick = geometry.unit(geometry.unit((itch - self._base) * LEVEL) - normal)
-        aligned = norm(jnp.cross(rot[:, 2], stick)) < 0.3
-        # First to a place well away from the skin, turning, so that nothing brushes the arm on the way.
-        far, hover = itch - 0.12 * stick, itch - 0.03 * stick
+        # It comes in a funnel along the stick, so that nothing brushes the arm on the way.
+        height = (pos - itch) @ normal / jnp.maximum(-stick @ normal, 0.1)
+        off = pos - itch + height * stick
+        along = off @ axis
+        beside = norm(off - along * axis)
+        wide = beside + jnp.maximum(jnp.abs(along) - self.stroke, 0.0)
+        askew = norm(jnp.cross(rot[:, 2], stick))
         moving = jnp.abs(s["dtheta_human"]).max() > self.still
-        clear = carry["clear"] | (aligned & (norm(pos - far) < 0.06) & ~moving)
-        down = carry["down"] | (clear & (norm(pos - hover) < 0.015))
-        on_skin = down & (norm(off) < 0.03)
-        # Something else may be in the way of a stroke: then the other way.
-        stuck = jnp.where(on_skin & (t.tool_speed(s, task) < 0.03), carry["stuck"] + self.env.dt, 0.0)
-        way = jnp.where(stuck > self.patience, -carry["way"], carry["way"])
-        way = jnp.where(jnp.abs(along) > self.stroke, -jnp.sign(along), way)
-        drag = self.drag * (1.0 + 2.0 * stuck / self.patience)
-        place = jnp.where(clear, hover, jnp.where(moving & (norm(pos - itch) < 0.35), pos, far))
+        least = jnp.clip(4.0 * (wide - 0.015) + 0.4 * (askew - 0.2), 0.0, self.away)
+        least = jnp.where(moving, jnp.clip(height, least, self.away), least)
+        on_skin = (height < 0.03) & (least < 0.03)
+        # To the end of a stroke it goes on as it moves, and then back.
+        speed = t.tool_velocity(s, task) @ axis
+        back = (jnp.abs(along) > self.stroke) | (jnp.abs(speed) < self.turning)
+        way = jnp.where(back, -jnp.sign(along), jnp.sign(speed))
+        drag = self.drag * jnp.where(jnp.abs(speed) < self.turning, 3.0, 1.0)
+        spot = itch + jnp.clip(along, -self.stroke, self.stroke) * axis
         return Goal(
-            jnp.where(down, itch + jnp.clip(along, -self.stroke, self.stroke) * axis, place),
+            spot - least * stick,
             turn_to(rot, stick),
+            speed=jnp.where(on_skin, 0.1, 0.3),
             drift=jnp.where(on_skin, manner.stroke_speed * way, 0.0) * axis,
-            press=jnp.where(down, -manner.force, 0.0) * normal + jnp.where(on_skin, drag * way, 0.0) * axis,
-            free=jnp.where(down, 1.0, 0.0) * normal,
-        ), {"way": way, "stuck": jnp.where(stuck > self.patience, 0.0, stuck), "clear": clear, "down": down}
+            press=jnp.where(on_skin, -manner.force, 0.0) * normal + jnp.where(on_skin, drag * way, 0.0) * axis,
+            free=jnp.where(on_skin, 1.0, 0.0) * normal,
+        ), carry
