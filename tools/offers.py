@@ -1,12 +1,16 @@
 """Postures in which a person offers the robot what it is to work on, by inverse kinematics over both bodies.
 
-python tools/offers.py   # writes src/assistax/policies/offers.json, some three minutes
+python tools/offers.py   # writes src/assistax/policies/offers.json, some fifteen minutes
 
 A posture counts if the person can hold it, if nothing is in the way there or on the way there from rest while the robot
 waits at its start, and if the tool then touches the skin with nothing else in the way. It says, too, what share of the
 arm's skin the robot can reach beside a person at rest, and beside one who moves.
+
+What can be touched can still not be scratched well. So the scripted robot plays beside people who hold the most
+promising postures, with an itch in every place, and each place gets the posture in which it is scratched longest.
 """
 
+import dataclasses
 import json
 from itertools import product
 
@@ -16,9 +20,11 @@ import mujoco
 import numpy as np
 
 from assistax import make, scenes
-from assistax.policies.people import OFFERS
+from assistax.policies.people import OFFERS, Offer
+from assistax.policies.scripted import scripted_policy
 from assistax.scenes import geometry
-from assistax.tasks.scratch import SEGMENTS
+from assistax.tasks.rewards import exposed
+from assistax.tasks.scratch import SEGMENTS, ScratchState
 
 CELLS = (12, 16)  # along a segment, around it
 GRID = 8  # angles per joint of the person
@@ -29,7 +35,10 @@ STRENGTH = 0.9  # of the person's torque, to hold a posture
 AROUND_PAD = 0.045  # m, from the pad's centre, what it washes
 LEAN = {"scratch": 1.0, "bed_bath": 0.0}  # how far the tool leans away from the robot, as the scripted robot holds it
 TIP = {"scratch": 0.008, "bed_bath": 0.004}  # m, from tool point to skin when touching
-MORE = {"scratch": 3, "bed_bath": 2}  # postures beside rest
+MORE = {"scratch": 4, "bed_bath": 2}  # postures beside rest
+PLAYED = 14  # postures, at most, in which the robot plays
+PLAY_STEPS = 800
+ENOUGH = 4.0  # s of scratching; more is not better
 
 
 class Reach:
@@ -113,7 +122,7 @@ class Reach:
         return bool((needed <= self.strength).all())
 
     def touched(self, posture):
-        """Which cells [n] the tool touches with the person in a posture."""
+        """Which cells [n] the tool touches with the person in a posture, and how far each faces the robot, 0 to 1."""
         qpos = self.rest.copy()
         qpos[self.person] = posture
         self.data.qpos[:] = qpos
@@ -134,7 +143,7 @@ class Reach:
             )
             for i in np.flatnonzero(~found & np.asarray(near)):
                 found[i] = self._touches(np.asarray(poses[i], float), self.skin[self.segment[i]])
-        return found
+        return found, np.asarray(jax.vmap(exposed, (0, 0, None))(normals, places, self.base))
 
     def _touches(self, qpos, skin):
         touching = False
@@ -155,6 +164,43 @@ def neighbourhood(touched):
     return np.mean([np.roll(grid[:, :, row], d, 3) for row in rows for d in (-1, 0, 1)], 0).reshape(len(touched), -1)
 
 
+class Holds(Offer):
+    """A person who moves into the posture in the carry and holds it."""
+
+    def initial_carry(self):
+        return super().initial_carry() | {"held": self.rest}
+
+    def posture(self, carry, state):
+        return carry["held"], carry
+
+
+def scratched(reach: Reach, postures) -> np.ndarray:
+    """For how long the scripted robot scratches each cell beside a person in each posture, in s [postures, cells]."""
+    env, count = make("scratch"), len(reach.points)
+    robot, person = scripted_policy("expert", env, "robot"), Holds(env)
+    itches = ScratchState(jnp.asarray(reach.segment), jnp.asarray(reach.points, jnp.float32), jnp.zeros(count))
+
+    @jax.jit
+    def play(posture):
+        _, start = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), count))
+        carries = {"robot": robot.initial_carry(), "human": {"aim": person.rest, "held": posture}}
+        carries = jax.tree.map(lambda x: jnp.broadcast_to(x, (count, *jnp.shape(x))), carries)
+
+        def step(state, carries):
+            acts = {}
+            for agent, policy in (("robot", robot), ("human", person)):
+                acts[agent], carries[agent] = policy.act({}, carries[agent], state, False, None)
+            return env.step(jax.random.key(0), state, acts)[1], carries
+
+        def steps(_, now):
+            return jax.vmap(step)(*now)
+
+        end, _ = jax.lax.fori_loop(0, PLAY_STEPS, steps, (dataclasses.replace(start, task=itches), carries))
+        return end.task.scratch_seconds
+
+    return np.array([play(jnp.asarray(posture, jnp.float32)) for posture in postures])
+
+
 def choose(worth, count):
     """Rest, which is the first, and `count` postures that together are worth most, one after the other."""
     chosen = [0]
@@ -168,11 +214,13 @@ def offers(task: str) -> dict:
     limits = reach.model.jnt_range[[reach.model.joint(j).id for j in reach.env.spec.scene.human_driven]]
     grid = product(*(np.linspace(low + 0.1, high - 0.1, GRID) for low, high in limits))
     postures = [reach.rest[reach.person]] + [np.array(p) for p in grid if reach.possible(np.array(p))]
-    touched = np.array([reach.touched(posture) for posture in postures])
+    touched, facing = (np.array(xs) for xs in zip(*map(reach.touched, postures), strict=True))
     rest, some = touched[0].mean(), touched.any(0).mean()
     print(f"{task}: {len(postures)} postures; {rest:.0%} of the skin touched at rest, {some:.0%} in some")
     if task == "scratch":
-        worth = neighbourhood(touched)
+        tried = choose(neighbourhood(touched * facing**2), PLAYED)
+        postures = [postures[i] for i in tried]
+        worth = neighbourhood(np.minimum(scratched(reach, postures) / ENOUGH, 1.0))
         chosen = choose(worth, MORE[task])
         best = (worth[chosen] + 0.15 * (np.arange(len(chosen)) == 0)[:, None]).argmax(0).reshape(len(SEGMENTS), *CELLS)
         told = {part: ["".join(map(str, row)) for row in rows] for part, rows in zip(SEGMENTS, best, strict=True)}

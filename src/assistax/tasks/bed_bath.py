@@ -129,12 +129,12 @@ class BedBath:
         pairs = zip(SEGMENTS, self.normals, strict=True)
         return jnp.concatenate([geometry.rotate(s[f"{segment}_quat"], normals) for segment, normals in pairs])
 
-    def _places(self, s: Sensors):
+    def places(self, s: Sensors):
         """Of all points vectors [52, 3] from the tool, unit vectors [52, 3] out of the skin, and ways [52] in m."""
         vectors, normals = self.to_points(s), self.out_of_skin(s)
         ways = norm(vectors)
         if self.config.sided:
-            ways += geometry.arc(vectors, normals, self._axes(s)[self.segment], self._radius[self.segment])
+            ways += geometry.arc(vectors, normals, self.axes(s)[self.segment], self._radius[self.segment])
         return vectors, normals, ways
 
     def _target(self, s: Sensors, state: BedBathState):
@@ -143,12 +143,12 @@ class BedBath:
         In world axes the vector [3] from the tool to it, the unit vector [3] out of the skin there, and the length of
         the way to it in m.
         """
-        vectors, normals, ways = self._places(s)
+        vectors, normals, ways = self.places(s)
         skip = state.visited & ~state.visited.all()
         nearest = jnp.argmin(jnp.where(skip, jnp.inf, ways))
         return vectors[nearest], normals[nearest], ways[nearest]
 
-    def _axes(self, s: Sensors):
+    def axes(self, s: Sensors):
         """Unit vectors [2, 3] along the segments, in world axes."""
         return geometry.rotate(jnp.stack([s[f"{segment}_quat"] for segment in SEGMENTS]), self._axis)
 
@@ -172,7 +172,7 @@ class BedBath:
             vectors, normals, share = self._dirt(s, state)
             blocks |= {
                 "target_normal": normal,
-                "arm_axes": self._axes(s).ravel(),
+                "arm_axes": self.axes(s).ravel(),
                 "dirt_vectors": vectors.ravel(),
                 "dirt_normals": normals.ravel(),
                 "dirt_left": share,
@@ -191,7 +191,7 @@ class BedBath:
 
         Of the others as much as the pad is near and flat to the skin there, and as that skin faces the robot.
         """
-        vectors, normals, ways = self._places(s)
+        vectors, normals, ways = self.places(s)
         shown = jax.vmap(exposed, (0, 0, None))(normals, s["tool_pos"] + vectors, self._robot)
         flat = jax.vmap(facing, (0, None))(-normals, geometry.matrix(s["tool_quat"])[:, 2])
         paid = jnp.where(state.visited, 1.0, reach(ways) * (1.0 + shown + flat) / 3.0)

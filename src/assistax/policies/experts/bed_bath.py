@@ -1,12 +1,13 @@
 """Wash the arm from the shoulder to the wrist."""
 
+import jax
 import jax.numpy as jnp
-import numpy as np
 
-from assistax.policies.experts.controller import Expert, Goal, turn_to
+from assistax.policies.experts.controller import Expert, Goal, turn_to, way_of_stroke
 from assistax.scenes import geometry
 from assistax.scenes.geometry import norm
-from assistax.tasks.rewards import LEVEL, UP
+from assistax.tasks.base import tool_velocity
+from assistax.tasks.rewards import LEVEL, UP, exposed
 from assistax.tasks.scratch import SEGMENTS
 
 
@@ -47,100 +48,57 @@ class BedBathExpert(Expert):
 
 
 class BathAroundExpert(Expert):
-    """Pad flat on the skin, in strokes along both segments, each on the side where most is left to wash.
+    """Pad flat on the skin, in strokes from each dirty point to the one that is best to reach from there.
 
-    While the person moves, it draws back and waits.
+    It remembers nothing, so that a learner can imitate it. While the person moves, it keeps off the skin.
     """
 
+    stroke = 0.03  # m, to either side of a point that is still dirty
     stroke_speed = 0.12
     force = 5.0
+    turning = 0.03  # m/s: slower than this, a stroke goes to the middle
+    drag = 2.0  # N, to overcome friction
+    away = 0.1  # m, from the skin, until the pad lies right
     still = 0.4  # rad/s: while a joint of the person is faster, the robot waits
     turn_speed = 3.0  # rad/s
-    patience = 1.0  # s without getting further, after which another side is tried
-    elevations = (-0.8, -0.3, 0.2, 0.7, 1.2)  # rad, and
-    azimuths = (-0.8, 0.0, 0.8)  # rad from where the robot stands: the sides of the arm to choose from
-    seen = (0.4, 0.1)  # cosine, at least, between the side of a segment and the points that a stroke washes there
+    hidden = 0.3  # m, of way that a point is worse for which the skin looks away from the robot
+    lean = 0.6  # how far the pad leans toward where the robot comes from
 
     def __init__(self, env, considerate: bool = False):
         super().__init__(env, considerate)
         limbs = [geometry.capsule(env.model, f"right_{segment}") for segment in SEGMENTS]
         self._centre = jnp.array([limb.centre for limb in limbs])
-        self._axis = jnp.array([limb.axis * np.sign(limb.axis @ limb.centre) for limb in limbs])  # toward the hand
-        self._length, self._radius = (jnp.array([limb[i] for limb in limbs]) for i in (2, 3))
-        azimuth, elevation = (x.ravel() for x in jnp.meshgrid(jnp.array(self.azimuths), jnp.array(self.elevations)))
-        self._sides = azimuth, elevation
-
-    def initial_carry(self):
-        return {
-            "place": jnp.float32(2.0),  # along both segments: 0 at the shoulder, 1 at the elbow, 2 at the wrist
-            "way": jnp.float32(0.0),  # 1 toward the wrist, -1 back; 0: a new stroke begins
-            "side": jnp.int32(0),
-            "waited": jnp.float32(0.0),  # s, without getting further
-            "tried": jnp.zeros(len(self.elevations) * len(self.azimuths), bool),
-        }
-
-    def _outs(self, middle, axis):
-        """Unit vectors [sides, 2, 3] out of both segments, square to them, for each side to choose from."""
-        azimuth, elevation = (angle[:, None] for angle in self._sides)
-        toward = geometry.unit((self._base - middle.mean(0)) * LEVEL)
-        level = jnp.cos(azimuth) * toward + jnp.sin(azimuth) * jnp.cross(UP, toward)
-        side = jnp.cos(elevation) * level + jnp.sin(elevation) * UP
-        along = jnp.einsum("ki,si->ks", side, axis)
-        return geometry.unit(side[:, None] - along[..., None] * axis)
+        self._radius = jnp.array([limb.radius for limb in limbs])
 
     def goal(self, carry, s, task, pos, rot, manner):
-        frames = geometry.matrix(jnp.stack([s[f"{segment}_quat"] for segment in SEGMENTS]))
-        origins = jnp.stack([s[f"{segment}_pos"] for segment in SEGMENTS])
-        middle = origins + jnp.einsum("sij,sj->si", frames, self._centre)
-        axes = jnp.einsum("sij,sj->si", frames, self._axis)
-        outs = self._outs(middle, axes)
-        moving = jnp.abs(s["dtheta_human"]).max() > jnp.where(carry["way"] == 0, self.still, 2.0 * self.still)
-        # The side on which a stroke washes most.
-        on = jnp.arange(2)[:, None] == self.env.task.segment
-        facing = jnp.einsum("ksi,ni->ksn", outs, self.env.task.out_of_skin(s)) > jnp.array(self.seen)[:, None]
-        left = (facing & (on & ~task.visited)).sum((1, 2))
-        worth = left - 2.0 * jnp.abs(self._sides[0])
-        place, way = carry["place"], carry["way"]
-        stuck = carry["waited"] > self.patience
-        over = (way > 0) & (place >= 2.0) | (way < 0) & (place <= 0.0) | stuck
-        tried = carry["tried"] | ((jnp.arange(len(worth)) == carry["side"]) & over)
-        tried &= ~moving & ~tried.all()
-        begin = (way == 0) | over
-        side = jnp.where(begin, jnp.where(tried, -jnp.inf, worth).argmax(), carry["side"])
-        way = jnp.where(begin, jnp.where(place >= 1.0, -1.0, 1.0), way)
-        place = jnp.where(over, jnp.where(place >= 1.0, 2.0, 0.0), place)
-        part = jnp.where((place < 1.0) | (place == 1.0) & (way < 0), 0, 1)
-        out, axis = outs[side, part], axes[part]
-        spot = middle[part] + (2.0 * (place - part) - 1.0) * self._length[part] * axis + self._radius[part] * out
+        t = self.env.task
+        vectors, normals, ways = t.places(s)
+        shown = jax.vmap(exposed, (0, 0, None))(normals, pos + vectors, self._base)
+        worst = jnp.where(task.visited & ~task.visited.all(), jnp.inf, ways + self.hidden * (1.0 - shown))
+        best = worst.argmin()
+        part = jnp.asarray(t.segment)[best]
+        axis, point = t.axes(s)[part], pos + vectors[best]
+        # The pad washes 5 cm around its middle, so that it need not lie where it is hard to reach.
+        toward = geometry.unit(geometry.unit((self._base - point) * LEVEL) + UP)
+        out = normals[best] + self.lean * toward
+        out = geometry.unit(out - axis * (out @ axis))
+        spot = point + self._radius[part] * (out - normals[best])
         off = pos - spot
-        lift = off @ out
-        beside = norm(off - lift * out)
-        above = (beside < 0.04) & ~moving & (-rot[:, 2] @ out > 0.8)
-        touching = above & (lift < 0.03)
-        # Past what is clean it hurries.
-        near = (norm(self.env.task.to_points(s) + pos - spot) < 0.08) & facing[side].any(0) & ~task.visited
-        hurry = jnp.where(near.any(), 1.0, 3.0)
-        place += jnp.where(
-            above & ((lift < 0.03) | ~near.any()),
-            hurry * way * manner.stroke_speed * self.env.dt / (2.0 * self._length[part]),
-            0.0,
-        )
-        close = norm(self.env.task.to_points(s)).min() < 0.2  # m, from the arm
-        away = close * (geometry.unit((self._base - pos) * LEVEL) + 0.5 * UP)
-        goal = Goal(
-            jnp.where(above, spot, jnp.where(moving, pos + 0.1 * away, spot + 0.06 * out)),
+        height, along = off @ out, off @ axis
+        beside = norm(off - height * out - along * axis)
+        wide = beside + jnp.maximum(jnp.abs(along) - 0.06, 0.0)
+        askew = 1.0 + rot[:, 2] @ out
+        moving = jnp.abs(s["dtheta_human"]).max() > self.still
+        least = jnp.clip(2.0 * (wide - 0.04) + 0.3 * (askew - 0.2), 0.0, self.away)
+        least = jnp.where(moving, jnp.clip(height, 0.06, self.away), least)
+        on_skin = (height < 0.03) & (least < 0.02)
+        speed = jnp.where(part == 0, tool_velocity(s, "upper_arm") @ axis, tool_velocity(s, "forearm") @ axis)
+        way = way_of_stroke(along, speed, self.stroke, self.turning)
+        return Goal(
+            spot + jnp.clip(along, -self.stroke, self.stroke) * axis + least * out,
             turn_to(rot, -out),
-            speed=jnp.where(above, jnp.clip(3.0 * jnp.abs(lift), 0.08, 0.4), 0.5),
-            drift=jnp.where(touching, way * manner.stroke_speed, 0.0) * axis,
-            press=jnp.where(above, -manner.force, 0.0) * out,
-            free=jnp.where(above, 1.0, 0.0) * out,
-        )
-        further = moving | over | (jnp.abs(place - carry["place"]) > 1e-6)
-        waited = jnp.where(further, 0.0, carry["waited"] + self.env.dt)
-        return goal, {
-            "place": jnp.clip(place, 0.0, 2.0),
-            "way": jnp.where(moving, 0.0, way),
-            "side": side,
-            "waited": waited,
-            "tried": tried,
-        }
+            speed=jnp.where(on_skin, 0.15, 0.4),
+            drift=jnp.where(on_skin, manner.stroke_speed * way, 0.0) * axis,
+            press=jnp.where(on_skin, -manner.force, 0.0) * out + jnp.where(on_skin, self.drag * way, 0.0) * axis,
+            free=jnp.where(on_skin, 1.0, 0.0) * out,
+        ), carry

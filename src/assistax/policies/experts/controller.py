@@ -114,6 +114,16 @@ def circle(angle, radius, stroke_speed, right, up):
     return offset, stroke_speed * (jnp.cos(angle) * up - jnp.sin(angle) * right)
 
 
+def way_of_stroke(along, speed, half, turning) -> jax.Array:
+    """1 or -1: which way along a line to stroke to and fro, without a memory.
+
+    The tool is `along` m past the middle and moves on with `speed` m/s. It goes on as it moves, as far as `half` m to
+    either side, and from there, or where it is slower than `turning` m/s, to the middle.
+    """
+    back = (jnp.abs(along) > half) | (jnp.abs(speed) < turning)
+    return jnp.where(back, -jnp.sign(along), jnp.sign(speed))
+
+
 def turn_to(rot: jax.Array, direction: jax.Array) -> jax.Array:
     """The rotation [3, 3] nearest to rot whose z axis is the unit vector `direction`."""
     x = rot[:, 0] - direction * (rot[:, 0] @ direction)

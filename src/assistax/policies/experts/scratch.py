@@ -2,7 +2,7 @@
 
 import jax.numpy as jnp
 
-from assistax.policies.experts.controller import Expert, Goal, turn_to
+from assistax.policies.experts.controller import Expert, Goal, turn_to, way_of_stroke
 from assistax.scenes import geometry
 from assistax.scenes.geometry import norm
 from assistax.tasks.rewards import LEVEL
@@ -35,13 +35,11 @@ class ScratchExpert(Expert):
         wide = beside + jnp.maximum(jnp.abs(along) - self.stroke, 0.0)
         askew = norm(jnp.cross(rot[:, 2], stick))
         moving = jnp.abs(s["dtheta_human"]).max() > self.still
-        least = jnp.clip(4.0 * (wide - 0.015) + 0.4 * (askew - 0.2), 0.0, self.away)
+        least = jnp.clip(3.0 * (wide - 0.02) + 0.4 * (askew - 0.3), 0.0, self.away)
         least = jnp.where(moving, jnp.clip(height, least, self.away), least)
         on_skin = (height < 0.03) & (least < 0.03)
-        # To the end of a stroke it goes on as it moves, and then back.
         speed = t.tool_velocity(s, task) @ axis
-        back = (jnp.abs(along) > self.stroke) | (jnp.abs(speed) < self.turning)
-        way = jnp.where(back, -jnp.sign(along), jnp.sign(speed))
+        way = way_of_stroke(along, speed, self.stroke, self.turning)
         drag = self.drag * jnp.where(jnp.abs(speed) < self.turning, 3.0, 1.0)
         spot = itch + jnp.clip(along, -self.stroke, self.stroke) * axis
         return Goal(
