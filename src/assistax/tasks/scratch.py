@@ -116,7 +116,10 @@ class Scratch:
             "target_vector": vector,
             "target_distance": norm(vector)[None],
         }
-        return blocks | {"target_normal": self.skin(s, state)[1]} if self.config.sided else blocks
+        if self.config.sided:
+            _, normal, axis = self.skin(s, state)
+            blocks |= {"target_normal": normal, "target_axis": axis}
+        return blocks
 
     def reward_terms(self, s: Sensors, state: ScratchState):
         c = self.config

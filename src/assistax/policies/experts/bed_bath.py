@@ -61,6 +61,7 @@ class BathAroundExpert(Expert):
     away = 0.1  # m, from the skin, until the pad lies right
     still = 0.4  # rad/s: while a joint of the person is faster, the robot waits
     turn_speed = 3.0  # rad/s
+    slide, travel = 0.15, 0.4  # m/s, at most, on the skin and off it
     hidden = 0.3  # m, of way that a point is worse for which the skin looks away from the robot
     lean = 0.6  # how far the pad leans toward where the robot comes from
 
@@ -97,7 +98,7 @@ class BathAroundExpert(Expert):
         return Goal(
             spot + jnp.clip(along, -self.stroke, self.stroke) * axis + least * out,
             turn_to(rot, -out),
-            speed=jnp.where(on_skin, 0.15, 0.4),
+            speed=jnp.where(on_skin, self.slide, self.travel),
             drift=jnp.where(on_skin, manner.stroke_speed * way, 0.0) * axis,
             press=jnp.where(on_skin, -manner.force, 0.0) * out + jnp.where(on_skin, self.drag * way, 0.0) * axis,
             free=jnp.where(on_skin, 1.0, 0.0) * out,
