@@ -94,7 +94,11 @@ def test_the_side_of_an_itch_is_seen_and_reach_leads_around_the_arm_to_it(place)
     s["tool_pos"] = s["tool_pos"] * 0.0 + np.asarray(s[f"{body.removeprefix('right_')}_pos"]) + off
     normal, way, _ = around(env, s, body, np.asarray(state.itch, float))
     now = {name: jnp.asarray(x[0], jnp.float32) for name, x in s.items()}
-    np.testing.assert_allclose(env.task.observe(now, state)["target_normal"], normal, atol=1e-5)
+    seen, frame = env.task.observe(now, state), np.zeros(9)
+    np.testing.assert_allclose(seen["target_normal"], normal, atol=1e-5)
+    mujoco.mju_quat2Mat(frame, s[f"{body.removeprefix('right_')}_quat"][0].astype(float))
+    limb = scenes.geometry.capsule(env.model, body)
+    np.testing.assert_allclose(seen["target_axis"], frame.reshape(3, 3) @ limb.axis, atol=1e-5)
     assert float(env.task.reward_terms(now, state)["reach"]) == pytest.approx(np.exp(-(way**2) / 0.1), abs=1e-5)
 
 

@@ -36,6 +36,7 @@ BLOCKS = {  # by block of an observation its unit and what it is
     "target_vector": ("m", "from the tool point to the target"),
     "target_distance": ("m", "its length"),
     "target_normal": ("", "direction out of the skin at the target, a unit vector"),
+    "target_axis": ("", "direction along the limb at the target, a unit vector"),
     "target_rotation": ("", "orientation of the target as the tool sees it, a matrix row by row"),
     "arm_axes": ("", "unit vectors along upper arm and forearm"),
     "dirt_vectors": ("m", "from the tool point to the middle of what is still dirty, on upper arm and forearm"),

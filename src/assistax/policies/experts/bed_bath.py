@@ -61,9 +61,11 @@ class BathAroundExpert(Expert):
     away = 0.1  # m, from the skin, until the pad lies right
     still = 0.4  # rad/s: while a joint of the person is faster, the robot waits
     turn_speed = 3.0  # rad/s
-    slide, travel = 0.15, 0.4  # m/s, at most, on the skin and off it
+    land, slide, travel = 0.15, 0.15, 0.4  # m/s, at most, onto the skin, on it and off it
     hidden = 0.3  # m, of way that a point is worse for which the skin looks away from the robot
     lean = 0.6  # how far the pad leans toward where the robot comes from
+    turn_cost = 0.1  # m, of way that a point is worse toward which the pad would have to turn by 90°
+    wide_at = 0.04
 
     def __init__(self, env, considerate: bool = False):
         super().__init__(env, considerate)
@@ -75,13 +77,14 @@ class BathAroundExpert(Expert):
         t = self.env.task
         vectors, normals, ways = t.places(s)
         shown = jax.vmap(exposed, (0, 0, None))(normals, pos + vectors, self._base)
-        worst = jnp.where(task.visited & ~task.visited.all(), jnp.inf, ways + self.hidden * (1.0 - shown))
+        worst = jnp.where(task.visited & ~task.visited.all(), jnp.inf, ways + self.hidden * (1.0 - shown) + self.turn_cost * (1.0 + normals @ rot[:, 2]))
         best = worst.argmin()
         part = jnp.asarray(t.segment)[best]
         axis, point = t.axes(s)[part], pos + vectors[best]
         # The pad washes 5 cm around its middle, so that it need not lie where it is hard to reach.
         toward = geometry.unit(geometry.unit((self._base - point) * LEVEL) + UP)
-        out = normals[best] + self.lean * toward
+        left = (t.segment == part) & ~task.visited
+        out = geometry.unit(left @ normals) + self.lean * toward
         out = geometry.unit(out - axis * (out @ axis))
         spot = point + self._radius[part] * (out - normals[best])
         off = pos - spot
@@ -90,16 +93,18 @@ class BathAroundExpert(Expert):
         wide = beside + jnp.maximum(jnp.abs(along) - 0.06, 0.0)
         askew = 1.0 + rot[:, 2] @ out
         moving = jnp.abs(s["dtheta_human"]).max() > self.still
-        least = jnp.clip(2.0 * (wide - 0.04) + 0.3 * (askew - 0.2), 0.0, self.away)
-        least = jnp.where(moving, jnp.clip(height, 0.06, self.away), least)
-        on_skin = (height < 0.03) & (least < 0.02)
+        least = jnp.clip(2.0 * (wide - self.wide_at) + 0.3 * (askew - 0.2), 0.0, self.away)
+        on_skin = (height < 0.03) & (least < 0.02) & ~moving
+        near = norm(vectors).min()  # m, from the arm
+        back = geometry.unit((self._base - pos) * LEVEL) + 0.5 * UP
         speed = jnp.where(part == 0, tool_velocity(s, "upper_arm") @ axis, tool_velocity(s, "forearm") @ axis)
         way = way_of_stroke(along, speed, self.stroke, self.turning)
+        place = spot + jnp.clip(along, -self.stroke, self.stroke) * axis + least * out
         return Goal(
-            spot + jnp.clip(along, -self.stroke, self.stroke) * axis + least * out,
+            jnp.where(moving, pos + 0.1 * (near < 0.2) * back, place),
             turn_to(rot, -out),
-            speed=jnp.where(on_skin, self.slide, self.travel),
-            drift=jnp.where(on_skin, manner.stroke_speed * way, 0.0) * axis,
+            speed=jnp.where(on_skin, self.slide, jnp.where(moving, 0.5, jnp.clip(4.0 * height, self.land, self.travel))),
+            drift=jnp.where(on_skin & (jnp.abs(along) < self.stroke), manner.stroke_speed * way, 0.0) * axis,
             press=jnp.where(on_skin, -manner.force, 0.0) * out + jnp.where(on_skin, self.drag * way, 0.0) * axis,
             free=jnp.where(on_skin, 1.0, 0.0) * out,
         ), carry
