@@ -54,16 +54,17 @@ class BathAroundExpert(Expert):
     """
 
     stroke = 0.03  # m, to either side of a point that is still dirty
-    stroke_speed = 0.12
-    force = 5.0
+    stroke_speed = 0.15
+    force = 4.0
     turning = 0.03  # m/s: slower than this, a stroke goes to the middle
     drag = 2.0  # N, to overcome friction
     away = 0.1  # m, from the skin, until the pad lies right
     still = 0.4  # rad/s: while a joint of the person is faster, the robot waits
     turn_speed = 3.0  # rad/s
-    land, slide, travel = 0.15, 0.15, 0.4  # m/s, at most, onto the skin, on it and off it
+    round = True
+    land, slide, travel = 0.15, 0.2, 0.4  # m/s, at most, onto the skin, on it and off it
     hidden = 0.3  # m, of way that a point is worse for which the skin looks away from the robot
-    lean = 0.6  # how far the pad leans toward where the robot comes from
+    lean = 1.0  # how far the pad leans toward where the robot comes from
     turn_cost = 0.1  # m, of way that a point is worse toward which the pad would have to turn by 90°
     wide_at = 0.04
 
@@ -99,12 +100,13 @@ class BathAroundExpert(Expert):
         back = geometry.unit((self._base - pos) * LEVEL) + 0.5 * UP
         speed = jnp.where(part == 0, tool_velocity(s, "upper_arm") @ axis, tool_velocity(s, "forearm") @ axis)
         way = way_of_stroke(along, speed, self.stroke, self.turning)
+        drag = self.drag * jnp.where(jnp.abs(speed) < self.turning, 3.0, 1.0)
         place = spot + jnp.clip(along, -self.stroke, self.stroke) * axis + least * out
         return Goal(
             jnp.where(moving, pos + 0.1 * (near < 0.2) * back, place),
             turn_to(rot, -out),
-            speed=jnp.where(on_skin, self.slide, jnp.where(moving, 0.5, jnp.clip(4.0 * height, self.land, self.travel))),
+            speed=jnp.where(on_skin, self.slide, jnp.where(moving, 0.5, jnp.clip(3.0 * norm(spot - pos), self.land, self.travel))),
             drift=jnp.where(on_skin & (jnp.abs(along) < self.stroke), manner.stroke_speed * way, 0.0) * axis,
-            press=jnp.where(on_skin, -manner.force, 0.0) * out + jnp.where(on_skin, self.drag * way, 0.0) * axis,
+            press=jnp.where(on_skin, -manner.force, 0.0) * out + jnp.where(on_skin, drag * way, 0.0) * axis,
             free=jnp.where(on_skin, 1.0, 0.0) * out,
         ), carry

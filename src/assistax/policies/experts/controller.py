@@ -48,6 +48,7 @@ class Expert:
     stroke_speed = 0.0  # m/s
     force = 0.0  # N
     turn_speed = TURN_SPEED  # rad/s, at most
+    round = False  # whether the tool may turn about its own z axis as the arm likes
 
     def __init__(self, env, considerate: bool = False):
         if considerate and not env.config.human.preferring:
@@ -97,9 +98,11 @@ class Expert:
         turn = 0.5 * jnp.cross(rot.T, goal.rot.T).sum(0)  # sin(angle) times the axis of the missing turn
         torque = TURN_DAMPING * (at_most(TURN_GAIN * turn, self.turn_speed) - velocity[3:])
         posture = POSTURE_STIFFNESS * (self._ready - qpos[self._ids]) - POSTURE_DAMPING * qvel
-        square = jacobian @ jacobian.T + 1e-5 * jnp.eye(6)
+        turns = rot.T[:2] if self.round else jnp.eye(3)  # about what the script wants to turn
+        jacobian = jnp.concatenate([jacobian[:3], turns @ jacobian[3:]])
+        square = jacobian @ jacobian.T + 1e-5 * jnp.eye(len(jacobian))
         posture -= jacobian.T @ jnp.linalg.solve(square, jacobian @ posture)
-        joint_torque = jacobian.T @ jnp.concatenate([force, torque]) + posture + self._drag * qvel
+        joint_torque = jacobian.T @ jnp.concatenate([force, turns @ torque]) + posture + self._drag * qvel
         return jnp.clip(joint_torque / self._full, -1.0, 1.0), carry
 
 
