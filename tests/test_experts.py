@@ -14,6 +14,7 @@ from assistax.errors import UsageError
 from assistax.evaluation.playing import play
 from assistax.policies import SCRIPTED, Player, scripted_team
 from assistax.policies.experts import expert
+from assistax.policies.experts.controller import way_of_stroke
 from assistax.policies.people import Reflex
 from assistax.scenes import geometry
 from assistax.tasks import TASKS
@@ -63,6 +64,27 @@ def test_the_expert_does_the_task(envs, name):
     success, share = LEAST[name]
     assert result["metrics"]["success"].mean() >= success
     assert result["metrics"]["return"].mean() >= share * TASKS[name].bound
+
+
+@pytest.mark.parametrize(
+    ("along", "speed", "way"),
+    [
+        (0.01, 0.05, 1),  # on its way out, it goes on
+        (0.01, -0.05, -1),  # and on its way back, too
+        (0.04, 0.05, -1),  # too far
+        (-0.04, -0.05, 1),
+        (0.01, 0.005, -1),  # it sticks, or turns round: to the middle
+        (-0.01, -0.005, 1),
+    ],
+)
+def test_a_stroke_goes_to_and_fro_without_a_memory(along, speed, way):
+    assert way_of_stroke(jnp.float32(along), jnp.float32(speed), half=0.03, turning=0.02) == way
+
+
+@pytest.mark.parametrize("name", ["scratch-v1", "bed_bath-v1"])
+def test_who_teaches_to_rub_remembers_nothing(name):
+    """A learner who sees no memory cannot imitate one."""
+    assert expert(assistax.make(name, engine="mujoco")).initial_carry() == ()
 
 
 class LooksAside(Reflex):

@@ -53,59 +53,56 @@ class BathAroundExpert(Expert):
     It remembers nothing, so that a learner can imitate it. While the person moves, it keeps off the skin.
     """
 
+    round = True
     stroke = 0.03  # m, to either side of a point that is still dirty
     stroke_speed = 0.15
-    force = 4.0
+    force = 3.0
+    drag = 2.0  # N, to overcome friction; three times as much while the pad sticks
     turning = 0.03  # m/s: slower than this, a stroke goes to the middle
-    drag = 2.0  # N, to overcome friction
-    away = 0.1  # m, from the skin, until the pad lies right
-    still = 0.4  # rad/s: while a joint of the person is faster, the robot waits
+    land, slide, travel = 0.12, 0.15, 0.4  # m/s, at most, onto the skin, on it and off it
     turn_speed = 3.0  # rad/s
-    round = True
-    land, slide, travel = 0.15, 0.2, 0.4  # m/s, at most, onto the skin, on it and off it
-    hidden = 0.3  # m, of way that a point is worse for which the skin looks away from the robot
+    away = 0.1  # m, from the skin, until the pad lies right
+    still = 0.4  # rad/s: while a joint of the person is faster, the robot draws back
     lean = 1.0  # how far the pad leans toward where the robot comes from
-    turn_cost = 0.1  # m, of way that a point is worse toward which the pad would have to turn by 90°
-    wide_at = 0.04
+    hidden = 0.3  # m, of way that a point is worse for which the skin looks away from the robot
+    turned = 0.1  # m, of way that a point is worse for which the pad has to turn by 90°
 
     def __init__(self, env, considerate: bool = False):
         super().__init__(env, considerate)
         limbs = [geometry.capsule(env.model, f"right_{segment}") for segment in SEGMENTS]
-        self._centre = jnp.array([limb.centre for limb in limbs])
         self._radius = jnp.array([limb.radius for limb in limbs])
 
     def goal(self, carry, s, task, pos, rot, manner):
         t = self.env.task
         vectors, normals, ways = t.places(s)
         shown = jax.vmap(exposed, (0, 0, None))(normals, pos + vectors, self._base)
-        worst = jnp.where(task.visited & ~task.visited.all(), jnp.inf, ways + self.hidden * (1.0 - shown) + self.turn_cost * (1.0 + normals @ rot[:, 2]))
-        best = worst.argmin()
+        ways += self.hidden * (1.0 - shown) + self.turned * (1.0 + normals @ rot[:, 2])
+        best = jnp.where(task.visited, jnp.inf, ways).argmin()
         part = jnp.asarray(t.segment)[best]
         axis, point = t.axes(s)[part], pos + vectors[best]
-        # The pad washes 5 cm around its middle, so that it need not lie where it is hard to reach.
+        # The pad washes 5 cm around its middle: it lies on the middle of what is dirty, or nearer to the robot.
         toward = geometry.unit(geometry.unit((self._base - point) * LEVEL) + UP)
-        left = (t.segment == part) & ~task.visited
-        out = geometry.unit(left @ normals) + self.lean * toward
+        out = geometry.unit(((t.segment == part) & ~task.visited) @ normals) + self.lean * toward
         out = geometry.unit(out - axis * (out @ axis))
         spot = point + self._radius[part] * (out - normals[best])
         off = pos - spot
         height, along = off @ out, off @ axis
         beside = norm(off - height * out - along * axis)
-        wide = beside + jnp.maximum(jnp.abs(along) - 0.06, 0.0)
+        wide = beside + jnp.maximum(jnp.abs(along) - 2.0 * self.stroke, 0.0)
         askew = 1.0 + rot[:, 2] @ out
+        least = jnp.clip(2.0 * (wide - 0.04) + 0.3 * (askew - 0.2), 0.0, self.away)
         moving = jnp.abs(s["dtheta_human"]).max() > self.still
-        least = jnp.clip(2.0 * (wide - self.wide_at) + 0.3 * (askew - 0.2), 0.0, self.away)
         on_skin = (height < 0.03) & (least < 0.02) & ~moving
-        near = norm(vectors).min()  # m, from the arm
-        back = geometry.unit((self._base - pos) * LEVEL) + 0.5 * UP
-        speed = jnp.where(part == 0, tool_velocity(s, "upper_arm") @ axis, tool_velocity(s, "forearm") @ axis)
+        back = (norm(vectors).min() < 0.35) * (geometry.unit((self._base - pos) * LEVEL) + 0.5 * UP)
+        speed = jnp.stack([tool_velocity(s, segment) for segment in SEGMENTS])[part] @ axis
         way = way_of_stroke(along, speed, self.stroke, self.turning)
         drag = self.drag * jnp.where(jnp.abs(speed) < self.turning, 3.0, 1.0)
         place = spot + jnp.clip(along, -self.stroke, self.stroke) * axis + least * out
+        coming = jnp.clip(3.0 * norm(off), self.land, self.travel)
         return Goal(
-            jnp.where(moving, pos + 0.1 * (near < 0.2) * back, place),
+            jnp.where(moving, pos + 0.15 * back, place),
             turn_to(rot, -out),
-            speed=jnp.where(on_skin, self.slide, jnp.where(moving, 0.5, jnp.clip(3.0 * norm(spot - pos), self.land, self.travel))),
+            speed=jnp.where(on_skin, self.slide, jnp.where(moving, 0.8, coming)),
             drift=jnp.where(on_skin & (jnp.abs(along) < self.stroke), manner.stroke_speed * way, 0.0) * axis,
             press=jnp.where(on_skin, -manner.force, 0.0) * out + jnp.where(on_skin, drag * way, 0.0) * axis,
             free=jnp.where(on_skin, 1.0, 0.0) * out,

@@ -14,21 +14,20 @@ class ScratchExpert(Expert):
     It remembers nothing: where the stick is and how it moves says what comes next, so that a learner can imitate it.
     """
 
+    round = True
     stroke = 0.03  # m, to either side of the itch
     stroke_speed = 0.06
     force = 3.0
     drag = 1.5  # N, to overcome friction; three times as much while the stick sticks
     turning = 0.02  # m/s: slower than this, a stroke goes to the middle
     away = 0.12  # m, from the skin, until the stick points the right way
-    round = True
-    lean = 1.0  # of the stick, away from the robot
     still = 0.3  # rad/s: while a joint of the person is faster, the robot waits
 
     def goal(self, carry, s, task, pos, rot, manner):
         t = self.env.task
         itch, normal, axis = t.skin(s, task)
         # Square to the skin the hand would often be out of reach: the stick leans toward the robot.
-        stick = geometry.unit(self.lean * geometry.unit((itch - self._base) * LEVEL) - normal)
+        stick = geometry.unit(geometry.unit((itch - self._base) * LEVEL) - normal)
         # It comes in a funnel along the stick, so that nothing brushes the arm on the way.
         height = (pos - itch) @ normal / jnp.maximum(-stick @ normal, 0.1)
         off = pos - itch + height * stick
