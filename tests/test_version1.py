@@ -14,6 +14,7 @@ from assistax import scenes
 from assistax.errors import UsageError
 from assistax.physics import make_engine
 from assistax.tasks import task_spec
+from assistax.training.team_file import load_team, trained_file
 
 ARM = dataclasses.replace(task_spec("arm_assist-v0").scene, worked_on=("upper_arm", "forearm", "head"))
 
@@ -112,3 +113,29 @@ def test_full_action_for_a_second_keeps_joints_within_their_speeds(name):
 def test_an_engine_that_gets_the_brakes_wrong_is_refused():
     with pytest.raises(UsageError, match="mjx engine cannot keep scratch-v1 to its joint speeds"):
         assistax.make("scratch", engine="mjx")
+
+
+def test_the_packaged_brushing_team_of_version_0_brushes_by_what_it_counted_and_not_by_what_version_1_counts():
+    """The same four episodes, counted twice: version 1 by sensors of its own scene at the same joints and speeds."""
+    env, team = load_team(trained_file("tooth_brushing-v0"), engine="mujoco")
+    judge = env_of("tooth_brushing")
+
+    def step(carry, now):
+        state, obs, carries, judged = carry
+        actions = {}
+        for agent, player in team.items():
+            actions[agent], carries[agent] = player.act(
+                player.member(0), carries[agent], obs[agent], state, now == 0, jax.random.key(now)
+            )
+        obs, state, *_ = env.step_env(jax.random.key(now), state, actions)
+        felt = judge.engine.init(state.physics.qpos, state.physics.qvel)
+        return (state, obs, carries, judge.task.advance(judge.sensors(felt), judged)), None
+
+    def one(key):
+        obs, state = env.reset(key)
+        start = state, obs, {agent: player.initial_carry() for agent, player in team.items()}, judge.task.reset(key)
+        (state, *_, judged), _ = jax.lax.scan(step, start, jnp.arange(1000))
+        return state.task.brush_seconds, judged.brush_seconds
+
+    counted, brushed = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(0), 4))
+    assert counted.min() > 2.0 and brushed.max() < 0.5
