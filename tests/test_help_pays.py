@@ -1,10 +1,12 @@
 """Reward and help agree in version 1: the best-paid behaviour helps, by 5 % over the best-paid one that does not.
 
 A search over instants: where the tool is and how turned, how hard it presses, how fast it moves, what was before.
-What helps is what the task's own outcome counts. Poses in which the tool would be inside the head are left out.
+What helps is what the task's own outcome counts. Poses in which the tool would be inside the head are left out. In bed
+bath, where pay hangs on what was washed before, whole episodes are compared.
 """
 
 import dataclasses
+import json
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +17,7 @@ import pytest
 import assistax
 from assistax import scenes
 from assistax.human import preference
+from assistax.policies.people import OFFERS
 from assistax.scenes import geometry
 
 HEAD = 0.09  # m, its radius
@@ -147,12 +150,50 @@ def test_help_is_paid_best(name, who):
     assert helps > MARGIN * other > 0, (helps, other)
 
 
-def test_washing_is_paid_more_than_hovering_over_dirt():
-    """An episode that washes what is dirty, and one that hovers on a dirty point to its end."""
+def best_hovering(task, rows, state, number=3000, rounds=20):
+    """The most that a pad is paid per step that hovers wherever it likes beside the arm in one of these postures."""
+
+    @jax.jit
+    @jax.vmap
+    def paid(x, row):
+        s = jax.tree.map(lambda values: values[row], rows)
+        quat = x[3:7] / jnp.linalg.norm(x[3:7])
+        s |= {"tool_pos": s["forearm_pos"] + x[:3], "tool_quat": quat}
+        return sum(task.reward_terms(s, state).values())
+
+    rng, most = np.random.default_rng(0), -np.inf
+    x = np.concatenate([rng.uniform(-0.3, 0.3, (number, 3)), rng.normal(size=(number, 4))], 1)
+    row = rng.integers(0, len(rows["tool_pos"]), number)
+    for step in range(rounds):
+        score = np.asarray(paid(jnp.asarray(x, jnp.float32), jnp.asarray(row)))
+        parents = rng.choice(np.argsort(-score)[: number // 20], number)
+        most = max(most, float(score.max()))
+        x, row = x[parents] + 0.85**step * rng.normal(size=x.shape) * ([0.05] * 3 + [0.3] * 4), row[parents]
+    return most
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_washing_more_is_paid_more_than_stopping_and_hovering_where_it_pays_best(seed):
+    """An episode that washes these shares of the dirt at once and then hovers to its end, wherever that pays best."""
     env = assistax.make("bed_bath-v1", engine="mujoco")
-    washing = env.task.config.wipe_scale * 52.0
-    assert 1000 + washing == env.spec.bound
-    hovering = env.config.episode_length * 1.0  # reach pays 1 a step at most
-    late = 0.8 * env.config.episode_length  # even if the last point is washed after four fifths of the time
-    assert washing + env.config.episode_length > MARGIN * hovering
-    assert late + washing + (env.config.episode_length - late) > MARGIN * hovering
+    rows, driven = [], scenes.qpos_ids(env.model, env.spec.scene.human_driven)
+    for posture in [None, *json.loads(OFFERS.read_text())["bed_bath"]["postures"]]:
+        data = mujoco.MjData(env.model)
+        mujoco.mj_resetDataKeyframe(env.model, data, 0)
+        if posture:
+            data.qpos[driven] = posture
+        mujoco.mj_forward(env.model, data)
+        rows.append(
+            {k: jnp.asarray(data.sensordata[at], jnp.float32) for k, at in scenes.sensor_slices(env.model).items()}
+        )
+    rows = jax.tree.map(lambda *xs: jnp.stack(xs), *rows)
+    state = env.task.reset(jax.random.key(seed))
+    dirty = np.flatnonzero(state.dirty)
+    washing, earned = env.task.config.wipe_scale * 52.0, []
+    for share in (0.0, 0.25, 0.5, 0.74, 1.0):
+        washed = dirty[: int(share * len(dirty))]
+        now = dataclasses.replace(state, visited=state.visited.at[washed].set(True))
+        hovers = best_hovering(env.task, rows, now) * env.config.episode_length
+        earned.append(hovers + washing * len(washed) / len(dirty))
+    assert earned[-1] == pytest.approx(env.spec.bound, rel=0.01)
+    assert (np.array(earned[1:]) > MARGIN * np.array(earned[:-1])).all(), earned
