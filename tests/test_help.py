@@ -155,6 +155,15 @@ def test_the_nearest_dirt_is_seen_and_every_dirty_point_pays_its_share_of_reach(
         )
         np.testing.assert_allclose(seen["dirt_vectors"][3 * i : 3 * i + 3], vector, atol=1e-5)
         assert float(seen["dirt_left"][i]) == pytest.approx(left[segment].sum() / np.asarray(state.dirty).sum())
+    # Around both limbs from their upper sides, in a frame that lies with the limb.
+    around_limb = []
+    for body, point in zip(bodies, points, strict=True):
+        limb = scenes.geometry.capsule(env.model, body)
+        up = scenes.geometry.upward(env.model, body, limb)
+        out = (point - limb.centre - limb.axis * (limb.axis @ (point - limb.centre))) / limb.radius
+        around_limb.append([out @ up, out @ np.cross(limb.axis, up)])
+    middle = np.mean(np.array(around_limb)[np.asarray(state.dirty)], 0)
+    np.testing.assert_allclose(seen["dirty_side"], middle, atol=1e-5)
     pad = np.zeros(9)
     mujoco.mju_quat2Mat(pad, np.asarray(s["tool_quat"][0], float))
     paid = []

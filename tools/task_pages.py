@@ -42,6 +42,7 @@ BLOCKS = {  # by block of an observation its unit and what it is
     "dirt_vectors": ("m", "from the tool point to the middle of what is still dirty, on upper arm and forearm"),
     "dirt_normals": ("", "mean directions out of the skin where it is still dirty, on upper arm and forearm"),
     "dirt_left": ("", "of all that was dirty, the shares that still are, on upper arm and forearm"),
+    "dirty_side": ("", "cosine and sine of the angle around the limb at which there was dirt, their means"),
     "waist_vector": ("m", "from the middle of the forearm to the waist target"),
     "waist_distance": ("m", "its length"),
     "target_velocity": ("m/s", "velocity of the target"),

@@ -80,6 +80,7 @@ class BedBath:
             for ns, (_, up, side) in zip(self.normals, skins, strict=True)
         ]
         self._angle = jnp.concatenate(angles)  # [52] rad, around the limb from its upper side
+        self._around = jnp.stack([jnp.cos(self._angle), jnp.sin(self._angle)], 1)
         self.spots = dict(zip(bodies, self.points, strict=True))
         self._axis = jnp.array([limb.axis for limb, _ in limbs])
         self._radius = jnp.array([limb.radius for limb, _ in limbs])
@@ -176,6 +177,7 @@ class BedBath:
                 "dirt_vectors": vectors.ravel(),
                 "dirt_normals": normals.ravel(),
                 "dirt_left": share,
+                "dirty_side": state.dirty @ self._around / state.dirty.sum(),
             }
         return blocks
 
