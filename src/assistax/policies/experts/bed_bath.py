@@ -63,8 +63,8 @@ class BathAroundExpert(Expert):
     turn_speed = 3.0  # rad/s
     away = 0.1  # m, from the skin, until the pad lies right
     still = 0.4  # rad/s: while a joint of the person is faster, the robot draws back
-    lean = 1.0  # how far the pad leans toward where the robot comes from
-    hidden = 0.3  # m, of way that a point is worse for which the skin looks away from the robot
+    lean = 1.4  # how far the pad leans toward where the robot comes from
+    hidden = 0.6  # m, of way that a point is worse for which the skin looks away from the robot
     turned = 0.1  # m, of way that a point is worse for which the pad has to turn by 90°
 
     def __init__(self, env, considerate: bool = False):
