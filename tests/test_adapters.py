@@ -86,7 +86,7 @@ def test_a_population_draws_a_member_for_every_episode_and_begins_it_afresh(env,
         ("human", "nowhere.safetensors", "nowhere.safetensors"),
         ("robot", Player.of(Counting(), jnp.float32(0.1)), "must act with 7 numbers"),
         ("human", Player(Counting(), jnp.zeros(3), members=2), "must be stacked"),
-        ("human", Player.of(Counting(), {"w": jnp.zeros(3)}), "cannot act on the 41 numbers"),
+        ("human", Player.of(Counting(), {"w": jnp.zeros(3)}), "cannot act on the 44 numbers"),
     ],
 )
 def test_a_partner_that_does_not_fit_is_refused_in_one_line(env, agent, who, words):

@@ -27,6 +27,7 @@ from assistax.training.sweep_figures import facets, overview
 ENVS, STEPS = 8, 5 * 8 * 10  # five iterations
 SMALL = {
     "ppo.cost_limit": None,
+    "ppo.teachers": (),
     "ppo.hidden": (8,),
     "ppo.num_steps": 10,
     "ppo.update_epochs": 2,

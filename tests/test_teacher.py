@@ -133,7 +133,7 @@ def test_the_default_preset_of_version_1_has_teachers():
     assert (
         configure("feeding", {}).method.teachers == configure("feeding", {}, algorithm="mappo").method.teachers == both
     )
-    assert configure("scratch", {}).method.teachers == both[1:]
+    assert configure("scratch", {}).method.teachers == configure("bed_bath", {}).method.teachers == both
     assert configure("feeding-v0", {}).method.teachers == configure("feeding", {}, preset="paper").method.teachers == ()
     # The scripted robot plays with torques.
     assert configure("feeding", {"env.control": "position"}).method.teachers == both[1:]
