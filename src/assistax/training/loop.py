@@ -72,6 +72,7 @@ class _Training:
         self.run, self.stop, self.log, self.bar, self.pictures = run, stop, log, bar, pictures
         self.trainer, self.seeds, self.engine = run.trainer, run.seeds, run.env.engine
         self.evaluator = Evaluator(run.env, run.config.evaluation_episodes)
+        self.evaluated: set[int] = set()  # iterations; a run that is prolonged had other ones before than it has now
         self.loggers = Loggers((), run.folder, self.seeds.seeds, 0, {})  # nobody yet
 
     def go(self) -> dict[str, Any] | None:
@@ -149,6 +150,7 @@ class _Training:
         about = check_checkpoint(path, run.config)
         _check_settings(run, about.get("settings", {}), path.name)
         done, over = divmod(about["steps"], run.steps_per_iteration)
+        self.evaluated = set(about.get("evaluated", run.evaluate_at))  # those of earlier versions do not say
         if over:
             raise UsageError(
                 f"{path} is at step {about['steps']}, which no iteration of {run.steps_per_iteration} steps ends at: "
@@ -172,7 +174,7 @@ class _Training:
     def _missing(self, done: int) -> dict[str, int]:
         """By file, the rows that are not there."""
         run = self.run
-        wanted = {"metrics": range(1, done + 1), "evaluations": [i for i in run.evaluate_at if i < done]}
+        wanted = {"metrics": range(1, done + 1), "evaluations": [i for i in self.evaluated if i < done]}
         return {
             name: journal.missing(run.folder, name, [i * run.steps_per_iteration for i in at], self.seeds.seeds)
             for name, at in wanted.items()
@@ -191,6 +193,7 @@ class _Training:
         """The evaluation that is due after so many iterations, of the seeds that have none yet."""
         if done not in self.run.evaluate_at:
             return
+        self.evaluated.add(done)
         steps = done * self.run.steps_per_iteration
         there = {row["seed"] for row in journal.read(self.run.folder, "evaluations") if row["steps"] == steps}
         with self.clock("evaluation"):
@@ -224,9 +227,10 @@ class _Training:
         self.evaluations.sync()
         config, steps = self.run.config, done * self.run.steps_per_iteration
         about = {"task": config.task, "algorithm": config.algorithm, "steps": steps, "settings": _settings(self.run)}
+        about |= {"seconds": self.clock.seconds, "evaluated": sorted(self.evaluated)}
         folder = self.run.folder / "checkpoints"
         path = folder / f"step_{steps:012d}.safetensors"
-        pieces.save(path, self.seeds.join(state), about | {"seconds": self.clock.seconds})
+        pieces.save(path, self.seeds.join(state), about)
         for old in sorted(folder.glob("step_*.safetensors"))[:-2]:
             old.unlink()
         pieces.prune(folder)
