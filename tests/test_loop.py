@@ -101,17 +101,12 @@ def test_rows_that_are_missing_are_said_and_written_down(tmp_path, capsys):
 
 def test_a_run_that_is_prolonged_lacks_no_evaluation_of_its_new_schedule(tmp_path, capsys):
     folder = tmp_path / "run"
-    train_without_pictures(
-        Run.create(small(steps=4 * 64, settings={"evaluations": 2, "evaluation_episodes": 2}), folder)
-    )
+    settings = {"evaluations": 2, "evaluation_episodes": 2}
+    train_without_pictures(Run.create(small(steps=4 * 64, settings=settings), folder))
     summary = train_without_pictures(Run.open(folder, steps=6 * 64))
     assert "missing_rows" not in summary and "lacks" not in capsys.readouterr().err
     rows = [row["steps"] for row in journal.read(folder, "evaluations")]
-    assert rows == [
-        2 * 64,
-        4 * 64,
-        6 * 64,
-    ]  # the first of two; what was the end, and lies before 3 * 64 no more; the end
+    assert rows == [2 * 64, 4 * 64, 6 * 64]  # half and all of 4; all of 6, as its half was past
     lines = (folder / "evaluations.jsonl").read_text().splitlines(keepends=True)
     (folder / "evaluations.jsonl").write_text("".join(lines[1:]))
     assert train_without_pictures(Run.open(folder, steps=7 * 64))["missing_rows"] == {"evaluations": 1}
