@@ -122,7 +122,7 @@ def test_the_other_side_of_the_arm_is_paid_much_less_for_being_near():
 
 
 @pytest.mark.parametrize("place", range(4))
-def test_the_nearest_dirt_is_seen_and_every_dirty_point_pays_its_share_of_reach(place):
+def test_the_dirt_that_is_best_to_reach_is_seen_and_every_dirty_point_pays_its_share_of_reach(place):
     env, s = at_rest("bed_bath")
     turned = np.random.default_rng(place).normal(size=4)
     s["tool_quat"] = (turned / np.linalg.norm(turned))[None]
@@ -134,10 +134,18 @@ def test_the_nearest_dirt_is_seen_and_every_dirty_point_pays_its_share_of_reach(
     points = np.concatenate([np.asarray(x, float) for x in env.task.points])
     found = [around(env, s, body, point) for body, point in zip(bodies, points, strict=True)]
     normals, ways, places = zip(*found, strict=True)
-    nearest = np.where(np.asarray(state.visited), np.inf, ways).argmin()
+    pad = np.zeros(9)
+    mujoco.mju_quat2Mat(pad, np.asarray(s["tool_quat"][0], float))
+    flat = [0.5 - 0.5 * normal @ pad.reshape(3, 3)[:, 2] for normal in normals]
+    worse = [
+        0.6 * (1.0 - facing(env, normal, where)) + 0.2 * (1.0 - lies)
+        for normal, where, lies in zip(normals, places, flat, strict=True)
+    ]
+    best = np.where(np.asarray(state.visited), np.inf, np.array(ways) + worse).argmin()
     now = {name: jnp.asarray(x[0], jnp.float32) for name, x in s.items()}
-    np.testing.assert_allclose(env.task.observe(now, state)["target_normal"], normals[nearest], atol=1e-5)
     seen = env.task.observe(now, state)
+    np.testing.assert_allclose(seen["target_normal"], normals[best], atol=1e-5)
+    np.testing.assert_allclose(seen["target_vector"], places[best] - s["tool_pos"][0], atol=1e-5)
     left = ~np.asarray(state.visited)
     for i, segment in enumerate((slice(0, 29), slice(29, 52))):
         body = env.model.body(bodies[segment.start]).id
@@ -164,12 +172,9 @@ def test_the_nearest_dirt_is_seen_and_every_dirty_point_pays_its_share_of_reach(
         around_limb.append([out @ up, out @ np.cross(limb.axis, up)])
     middle = np.mean(np.array(around_limb)[np.asarray(state.dirty)], 0)
     np.testing.assert_allclose(seen["dirty_side"], middle, atol=1e-5)
-    pad = np.zeros(9)
-    mujoco.mju_quat2Mat(pad, np.asarray(s["tool_quat"][0], float))
     paid = []
     for i in np.flatnonzero(np.asarray(state.dirty)):
-        flat = 0.5 - 0.5 * normals[i] @ pad.reshape(3, 3)[:, 2]
-        paid.append(np.exp(-(ways[i] ** 2) / 0.1) * (1.0 + facing(env, normals[i], places[i]) + flat) / 3.0)
+        paid.append(np.exp(-(ways[i] ** 2) / 0.1) * (1.0 + facing(env, normals[i], places[i]) + flat[i]) / 3.0)
         if i in washed:
             paid[-1] = 1.0
     assert float(env.task.reward_terms(now, state)["reach"]) == pytest.approx(np.mean(paid), abs=1e-5)

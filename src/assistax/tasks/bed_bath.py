@@ -36,7 +36,13 @@ class BedBathConfig:
     wash_seconds: float = 0.0  # s, and is done, once for all, after so long in all; 0: at once, merely visited
     wipe_scale: float = 3.0  # per newly visited point; more if fewer than 52 are dirty, the same in all
     sided: bool = False  # whether observations tell on which side how much dirt is, and the way leads around the limb
-    reach_each: bool = False  # whether every dirty point pays a share of reach, all of it once it is washed, see _reach
+    # Where it does, a point is as bad to wash next as one that is so much farther away, in m, if its skin looks away
+    # from the robot, or if the pad has to turn over for it. 0.2 m are 90°.
+    hidden: float = 0.6
+    turned: float = 0.2
+    reach_each: bool = (
+        False  # whether every dirty point pays a share of reach, all of it once it is washed, see _reach_each
+    )
     # Where the points are: all around the arm, or between fractions of the segment's length from its start, and up to
     # this angle to either side of up.
     around: bool = False
@@ -138,16 +144,19 @@ class BedBath:
             ways += geometry.arc(vectors, normals, self.axes(s)[self.segment], self._radius[self.segment])
         return vectors, normals, ways
 
-    def _target(self, s: Sensors, state: BedBathState):
-        """The nearest point not yet visited, the nearest of all at the end.
+    def suits(self, s: Sensors, vectors: jax.Array, normals: jax.Array):
+        """From 0 to 1 how far the skin at all points faces the robot [52], and how flat the pad lies to it [52]."""
+        shown = jax.vmap(exposed, (0, 0, None))(normals, s["tool_pos"] + vectors, self._robot)
+        return shown, jax.vmap(facing, (0, None))(-normals, geometry.matrix(s["tool_quat"])[:, 2])
 
-        In world axes the vector [3] from the tool to it, the unit vector [3] out of the skin there, and the length of
-        the way to it in m.
-        """
+    def target(self, s: Sensors, state: BedBathState) -> jax.Array:
+        """The point not yet visited that is nearest, or, if skin has sides, best to reach; of all points at the end."""
         vectors, normals, ways = self.places(s)
+        if self.config.sided:
+            shown, flat = self.suits(s, vectors, normals)
+            ways += self.config.hidden * (1.0 - shown) + self.config.turned * (1.0 - flat)
         skip = state.visited & ~state.visited.all()
-        nearest = jnp.argmin(jnp.where(skip, jnp.inf, ways))
-        return vectors[nearest], normals[nearest], ways[nearest]
+        return jnp.argmin(jnp.where(skip, jnp.inf, ways))
 
     def axes(self, s: Sensors):
         """Unit vectors [2, 3] along the segments, in world axes."""
@@ -162,7 +171,9 @@ class BedBath:
         return vectors, normals, count / state.dirty.sum()
 
     def observe(self, s: Sensors, state: BedBathState):
-        vector, normal, _ = self._target(s, state)
+        vectors, normals, _ = self.places(s)
+        target = self.target(s, state)
+        vector = vectors[target]
         blocks = {
             "forearm_pos": s["forearm_pos"],
             "upper_arm_pos": s["upper_arm_pos"],
@@ -170,32 +181,33 @@ class BedBath:
             "target_distance": norm(vector)[None],
         }
         if self.config.sided:
-            vectors, normals, share = self._dirt(s, state)
+            to_dirt, out_of_dirt, share = self._dirt(s, state)
             blocks |= {
-                "target_normal": normal,
+                "target_normal": normals[target],
                 "arm_axes": self.axes(s).ravel(),
-                "dirt_vectors": vectors.ravel(),
-                "dirt_normals": normals.ravel(),
+                "dirt_vectors": to_dirt.ravel(),
+                "dirt_normals": out_of_dirt.ravel(),
                 "dirt_left": share,
                 "dirty_side": state.dirty @ self._around / state.dirty.sum(),
             }
         return blocks
 
     def reward_terms(self, s: Sensors, state: BedBathState):
-        reached = self._reach(s, state) if self.config.reach_each else reach(self._target(s, state)[2])
+        reached = (
+            self._reach_each(s, state) if self.config.reach_each else reach(self.places(s)[2][self.target(s, state)])
+        )
         return {
             "reach": reached,
             "wipe": self.config.wipe_scale * state.newly * (len(self.segment) / state.dirty.sum()),
         }
 
-    def _reach(self, s: Sensors, state: BedBathState):
+    def _reach_each(self, s: Sensors, state: BedBathState):
         """The mean over the dirty points: 1 of those that are washed, so that washing one never costs anything later.
 
         Of the others as much as the pad is near and flat to the skin there, and as that skin faces the robot.
         """
         vectors, normals, ways = self.places(s)
-        shown = jax.vmap(exposed, (0, 0, None))(normals, s["tool_pos"] + vectors, self._robot)
-        flat = jax.vmap(facing, (0, None))(-normals, geometry.matrix(s["tool_quat"])[:, 2])
+        shown, flat = self.suits(s, vectors, normals)
         paid = jnp.where(state.visited, 1.0, reach(ways) * (1.0 + shown + flat) / 3.0)
         return paid @ state.dirty / state.dirty.sum()
 
@@ -234,7 +246,7 @@ class BedBath:
         return jnp.where(state.dirty, jnp.where(state.visited, DONE, TO_DO), NOTHING_TO_DO).astype(jnp.int8)
 
     def markers(self, s: Sensors, state: BedBathState):
-        return s["tool_pos"] + self._target(s, state)[0]
+        return s["tool_pos"] + self.to_points(s)[self.target(s, state)]
 
 
 _SCENE = SceneConfig("bed", "lying", "wiper", (-0.25, -0.9, 0.32), pi / 2, RIGHT_ARM, **BED_VIEW)

@@ -226,8 +226,14 @@ class _Training:
         self.metrics.sync()
         self.evaluations.sync()
         config, steps = self.run.config, done * self.run.steps_per_iteration
-        about = {"task": config.task, "algorithm": config.algorithm, "steps": steps, "settings": _settings(self.run)}
-        about |= {"seconds": self.clock.seconds, "evaluated": sorted(self.evaluated)}
+        about = {
+            "task": config.task,
+            "algorithm": config.algorithm,
+            "steps": steps,
+            "settings": _settings(self.run),
+            "seconds": self.clock.seconds,
+            "evaluated": sorted(self.evaluated),
+        }
         folder = self.run.folder / "checkpoints"
         path = folder / f"step_{steps:012d}.safetensors"
         pieces.save(path, self.seeds.join(state), about)

@@ -1,13 +1,12 @@
 """Wash the arm from the shoulder to the wrist."""
 
-import jax
 import jax.numpy as jnp
 
 from assistax.policies.experts.controller import Expert, Goal, turn_to, way_of_stroke
 from assistax.scenes import geometry
 from assistax.scenes.geometry import norm
 from assistax.tasks.base import tool_velocity
-from assistax.tasks.rewards import LEVEL, UP, exposed
+from assistax.tasks.rewards import LEVEL, UP
 from assistax.tasks.scratch import SEGMENTS
 
 
@@ -50,7 +49,8 @@ class BedBathExpert(Expert):
 class BathAroundExpert(Expert):
     """Pad flat on the skin, in strokes from each dirty point to the one that is best to reach from there.
 
-    It remembers nothing, so that a learner can imitate it. While the person moves, it keeps off the skin.
+    So that a learner can imitate it, it remembers nothing and goes to the point that is observed. While the person
+    moves, it keeps off the skin.
     """
 
     round = True
@@ -64,8 +64,6 @@ class BathAroundExpert(Expert):
     away = 0.1  # m, from the skin, until the pad lies right
     still = 0.4  # rad/s: while a joint of the person is faster, the robot draws back
     lean = 1.4  # how far the pad leans toward where the robot comes from
-    hidden = 0.6  # m, of way that a point is worse for which the skin looks away from the robot
-    turned = 0.1  # m, of way that a point is worse for which the pad has to turn by 90°
 
     def __init__(self, env, considerate: bool = False):
         super().__init__(env, considerate)
@@ -74,10 +72,8 @@ class BathAroundExpert(Expert):
 
     def goal(self, carry, s, task, pos, rot, manner):
         t = self.env.task
-        vectors, normals, ways = t.places(s)
-        shown = jax.vmap(exposed, (0, 0, None))(normals, pos + vectors, self._base)
-        ways += self.hidden * (1.0 - shown) + self.turned * (1.0 + normals @ rot[:, 2])
-        best = jnp.where(task.visited, jnp.inf, ways).argmin()
+        vectors, normals, _ = t.places(s)
+        best = t.target(s, task)
         part = jnp.asarray(t.segment)[best]
         axis, point = t.axes(s)[part], pos + vectors[best]
         # The pad washes 5 cm around its middle: it lies on the middle of what is dirty, or nearer to the robot.
