@@ -24,7 +24,8 @@ def mujoco_says(env, physics, actions):
     data.qpos, data.qvel = physics.qpos, physics.qvel
     data.qacc_warmstart = physics.qacc_warmstart
     limits = np.array(scenes.PANDA.torque) * env.config.torque_scale
-    data.ctrl = np.concatenate([actions["human"], limits * np.asarray(actions["robot"], float)])
+    wanted = np.concatenate([actions["human"], limits * np.asarray(actions["robot"], float)])
+    data.ctrl[: len(wanted)] = wanted  # version 1 has brakes behind them
     for _ in range(STEP):
         before = data.qpos.copy(), data.qvel.copy()
         mujoco.mj_step(model, data)

@@ -62,7 +62,7 @@ class BathAroundExpert(Expert):
     land, slide, travel = 0.12, 0.15, 0.4  # m/s, at most, onto the skin, on it and off it
     turn_speed = 3.0  # rad/s
     away = 0.1  # m, from the skin, until the pad lies right
-    still = 0.4  # rad/s: while a joint of the person is faster, the robot draws back
+    still = 1.5  # rad/s: while a joint of the person is faster, the robot draws back; a tremor or exploring is slower
     lean = 1.4  # how far the pad leans toward where the robot comes from
 
     def __init__(self, env, considerate: bool = False):
