@@ -6,8 +6,8 @@ A posture counts if the person can hold it, if nothing is in the way there or on
 waits at its start, and if the tool then touches the skin with nothing else in the way. It says, too, what share of the
 arm's skin the robot can reach beside a person at rest, and beside one who moves.
 
-What can be touched can still not be scratched well. So the scripted robot plays beside people who hold the most
-promising postures, with an itch in every place, and each place gets the posture in which it is scratched longest.
+What can be touched can still not be scratched or washed well. So the scripted robot plays beside people who hold the
+most promising postures, with an itch in every place and dirt on every side, and each gets the posture that serves best.
 """
 
 import dataclasses
@@ -23,6 +23,7 @@ from assistax import make, scenes
 from assistax.policies.people import OFFERS, Offer
 from assistax.policies.scripted import scripted_policy
 from assistax.scenes import geometry
+from assistax.tasks.bed_bath import BedBathState
 from assistax.tasks.rewards import exposed
 from assistax.tasks.scratch import SEGMENTS, ScratchState
 
@@ -35,10 +36,12 @@ STRENGTH = 0.9  # of the person's torque, to hold a posture
 AROUND_PAD = 0.045  # m, from the pad's centre, what it washes
 LEAN = {"scratch": 1.0, "bed_bath": 0.0}  # how far the tool leans away from the robot, as the scripted robot holds it
 TIP = {"scratch": 0.008, "bed_bath": 0.004}  # m, from tool point to skin when touching
-MORE = {"scratch": 4, "bed_bath": 2}  # postures beside rest
-PLAYED = 14  # postures, at most, in which the robot plays
+MORE = 4  # postures beside rest
+SIDES = 24  # around the arm, on which it may be dirty
+PLAYED = 14  # postures, at most, in which the robot scratches
 PLAY_STEPS = 800
 ENOUGH = 4.0  # s of scratching; more is not better
+REST_BONUS = {"scratch": 0.15, "bed_bath": 0.05}  # of what is best: by so much worse it may be not to move
 
 
 class Reach:
@@ -174,11 +177,11 @@ class Holds(Offer):
         return carry["held"], carry
 
 
-def scratched(reach: Reach, postures) -> np.ndarray:
-    """For how long the scripted robot scratches each cell beside a person in each posture, in s [postures, cells]."""
-    env, count = make("scratch"), len(reach.points)
+def played(env, postures, tasks):
+    """The task's states, stacked as `tasks` [n] are, after the scripted robot has worked beside a person who holds each
+    of the postures: a list."""
     robot, person = scripted_policy("expert", env, "robot"), Holds(env)
-    itches = ScratchState(jnp.asarray(reach.segment), jnp.asarray(reach.points, jnp.float32), jnp.zeros(count))
+    count = len(jax.tree.leaves(tasks)[0])
 
     @jax.jit
     def play(posture):
@@ -190,15 +193,34 @@ def scratched(reach: Reach, postures) -> np.ndarray:
             acts = {}
             for agent, policy in (("robot", robot), ("human", person)):
                 acts[agent], carries[agent] = policy.act({}, carries[agent], state, False, None)
-            return env.step(jax.random.key(0), state, acts)[1], carries
+            return env.step_env(jax.random.key(0), state, acts)[1], carries
 
         def steps(_, now):
             return jax.vmap(step)(*now)
 
-        end, _ = jax.lax.fori_loop(0, PLAY_STEPS, steps, (dataclasses.replace(start, task=itches), carries))
-        return end.task.scratch_seconds
+        end, _ = jax.lax.fori_loop(0, PLAY_STEPS, steps, (dataclasses.replace(start, task=tasks), carries))
+        return end.task
 
-    return np.array([play(jnp.asarray(posture, jnp.float32)) for posture in postures])
+    return [play(jnp.asarray(posture, jnp.float32)) for posture in postures]
+
+
+def scratched(reach: Reach, postures) -> np.ndarray:
+    """For how much of ENOUGH the robot scratches each cell beside a person in each posture [postures, cells]."""
+    segment, points = jnp.asarray(reach.segment), jnp.asarray(reach.points, jnp.float32)
+    ends = played(reach.env, postures, ScratchState(segment, points, jnp.zeros(len(points))))
+    return np.array([np.minimum(end.scratch_seconds / ENOUGH, 1.0) for end in ends])
+
+
+def dirt(bath, sides) -> np.ndarray:
+    """Which points are dirty if these sides [n] rad are [n, points]."""
+    return np.cos(np.asarray(bath._angle) - sides[:, None]) >= np.cos(bath.config.dirty)
+
+
+def washed(reach: Reach, postures, sides) -> np.ndarray:
+    """Which share of the dirt the robot washes on each side beside a person in each posture [postures, sides]."""
+    dirty = jnp.asarray(dirt(reach.env.task, sides))
+    start = BedBathState(dirty, ~dirty, jnp.zeros(dirty.shape), jnp.zeros(len(sides), jnp.int32))
+    return np.array([(end.visited & dirty).sum(1) / dirty.sum(1) for end in played(reach.env, postures, start)])
 
 
 def choose(worth, count):
@@ -220,24 +242,27 @@ def offers(task: str) -> dict:
     if task == "scratch":
         tried = choose(neighbourhood(touched * facing**2), PLAYED)
         postures = [postures[i] for i in tried]
-        worth = neighbourhood(np.minimum(scratched(reach, postures) / ENOUGH, 1.0))
-        chosen = choose(worth, MORE[task])
-        best = (worth[chosen] + 0.15 * (np.arange(len(chosen)) == 0)[:, None]).argmax(0).reshape(len(SEGMENTS), *CELLS)
-        told = {part: ["".join(map(str, row)) for row in rows] for part, rows in zip(SEGMENTS, best, strict=True)}
-        covered = worth
+        worth = neighbourhood(scratched(reach, postures))
     else:
-        bath = reach.env.task
-        points = np.concatenate([np.asarray(xs) for xs in bath.points])
+        sides = np.linspace(-np.pi, np.pi, SIDES, endpoint=False)
+        points = np.concatenate([np.asarray(xs) for xs in reach.env.task.points])
         apart = np.linalg.norm(points[:, None] - reach.points, axis=-1)
-        near = (apart < AROUND_PAD) & (bath.segment[:, None] == reach.segment)
-        washed = touched.astype(int) @ near.T >= 2
-        sides = np.linspace(-np.pi, np.pi, 32, endpoint=False)
-        dirty = np.cos(np.asarray(bath._angle) - sides[:, None]) >= np.cos(bath.config.dirty)
-        covered = (washed[:, None] & dirty).sum(2) / dirty.sum(1)
-        chosen = choose(covered**4, MORE[task])
-        told = {"shown": ["".join(map(str, row.astype(int))) for row in washed[chosen]]}
+        near = (apart < AROUND_PAD) & (reach.env.task.segment[:, None] == reach.segment)
+        dirty = dirt(reach.env.task, sides)
+        reached = ((touched.astype(int) @ near.T >= 2)[:, None] & dirty).sum(2) / dirty.sum(1)
+        tried = [0, *np.flatnonzero(reached.max(1) > reach.env.task.config.success_fraction)]
+        postures = [postures[i] for i in tried]
+        worth = washed(reach, postures, sides)
+        worth = np.mean([np.roll(worth, d, 1) for d in (-1, 0, 1)], 0)
+    chosen = choose(worth, MORE)
+    best = (worth[chosen] + REST_BONUS[task] * (np.arange(len(chosen)) == 0)[:, None]).argmax(0)
+    if task == "scratch":
+        rows = best.reshape(len(SEGMENTS), *CELLS)
+        told = {part: ["".join(map(str, row)) for row in of] for part, of in zip(SEGMENTS, rows, strict=True)}
+    else:
+        told = {"sides": "".join(map(str, best))}
     for some in (chosen[:n] for n in range(1, len(chosen) + 1)):
-        print(f"  {np.round(postures[some[-1]], 2)}: {covered[some].max(0).mean():.1%}")
+        print(f"  {np.round(postures[some[-1]], 2)}: {worth[some].max(0).mean():.1%}")
     return {"postures": np.round([postures[i] for i in chosen], 3).tolist(), **told}
 
 

@@ -106,20 +106,21 @@ class OfferItch(Offer):
 
 
 class OfferSkin(Offer):
-    """Stays at rest if the robot can reach what is dirty, and else shows it: see OfferItch."""
+    """Stays at rest if the robot can wash what is dirty, and else turns that side of the arm toward it.
 
-    rest_bonus = 0.15  # of what is dirty may stay out of reach, before it is worth moving
+    Which posture serves which side was found by play: tools/offers.py.
+    """
 
     def __init__(self, env, speed: float = 1.5):
         super().__init__(env, speed)
         stored = json.loads(OFFERS.read_text())["bed_bath"]
         self._postures = jnp.array(stored["postures"])
-        self._shown = jnp.array([[c == "1" for c in row] for row in stored["shown"]])
+        self._sides = jnp.array([int(i) for i in stored["sides"]])
 
     def posture(self, carry, state):
-        dirty = state.task.dirty
-        shown = (self._shown & dirty).sum(1) / dirty.sum()
-        return self._postures[shown.at[0].add(self.rest_bonus).argmax()], carry
+        count = len(self._sides)
+        side = jnp.round(self.env.task.side(state.task) / (2.0 * np.pi) * count).astype(int) + count // 2
+        return self._postures[self._sides[side % count]], carry
 
 
 class OfferFace(Offer):

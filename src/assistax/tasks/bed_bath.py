@@ -170,6 +170,14 @@ class BedBath:
         vectors, normals = (left @ x / jnp.maximum(count, 1)[:, None] for x in (self.to_points(s), self.out_of_skin(s)))
         return vectors, normals, count / state.dirty.sum()
 
+    def _side(self, state: BedBathState):
+        """The mean of unit vectors [2] to what was dirty, around a limb from its upper side."""
+        return state.dirty @ self._around / state.dirty.sum()
+
+    def side(self, state: BedBathState):
+        """Where around the limb, from its upper side, the middle of what was dirty is, in rad."""
+        return jnp.arctan2(*self._side(state)[::-1])
+
     def observe(self, s: Sensors, state: BedBathState):
         vectors, normals, _ = self.places(s)
         target = self.target(s, state)
@@ -188,7 +196,7 @@ class BedBath:
                 "dirt_vectors": to_dirt.ravel(),
                 "dirt_normals": out_of_dirt.ravel(),
                 "dirt_left": share,
-                "dirty_side": state.dirty @ self._around / state.dirty.sum(),
+                "dirty_side": self._side(state),
             }
         return blocks
 

@@ -1,5 +1,6 @@
 """Wash the arm from the shoulder to the wrist."""
 
+import jax
 import jax.numpy as jnp
 
 from assistax.policies.experts.controller import Expert, Goal, turn_to, way_of_stroke
@@ -70,6 +71,10 @@ class BathAroundExpert(Expert):
         limbs = [geometry.capsule(env.model, f"right_{segment}") for segment in SEGMENTS]
         self._radius = jnp.array([limb.radius for limb in limbs])
 
+    def _about(self, way):
+        """From 0 to 1, whether a way in m is more than 0, over some 5 mm: what jumps cannot be imitated."""
+        return jax.nn.sigmoid(way / 0.00125)
+
     def goal(self, carry, s, task, pos, rot, manner):
         t = self.env.task
         vectors, normals, _ = t.places(s)
@@ -88,7 +93,7 @@ class BathAroundExpert(Expert):
         askew = 1.0 + rot[:, 2] @ out
         least = jnp.clip(2.0 * (wide - 0.04) + 0.3 * (askew - 0.2), 0.0, self.away)
         moving = jnp.abs(s["dtheta_human"]).max() > self.still
-        on_skin = (height < 0.03) & (least < 0.02) & ~moving
+        on_skin = self._about(0.03 - height) * self._about(0.02 - least) * ~moving
         back = (norm(vectors).min() < 0.35) * (geometry.unit((self._base - pos) * LEVEL) + 0.5 * UP)
         speed = jnp.stack([tool_velocity(s, segment) for segment in SEGMENTS])[part] @ axis
         way = way_of_stroke(along, speed, self.stroke, self.turning)
@@ -98,8 +103,8 @@ class BathAroundExpert(Expert):
         return Goal(
             jnp.where(moving, pos + 0.15 * back, place),
             turn_to(rot, -out),
-            speed=jnp.where(on_skin, self.slide, jnp.where(moving, 0.8, coming)),
-            drift=jnp.where(on_skin & (jnp.abs(along) < self.stroke), manner.stroke_speed * way, 0.0) * axis,
-            press=jnp.where(on_skin, -manner.force, 0.0) * out + jnp.where(on_skin, drag * way, 0.0) * axis,
-            free=jnp.where(on_skin, 1.0, 0.0) * out,
+            speed=jnp.where(moving, 0.8, coming + on_skin * (self.slide - coming)),
+            drift=on_skin * self._about(self.stroke - jnp.abs(along)) * manner.stroke_speed * way * axis,
+            press=on_skin * (drag * way * axis - manner.force * out),
+            free=on_skin * out,
         ), carry
