@@ -118,7 +118,7 @@ def flat(settings: dict[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]
 class Method:
     """How a team was trained, on whatever task."""
 
-    algorithm: str  # with its switches: "ippo-rnn-shared", and partners: "ippo with human=still"
+    algorithm: str  # with its switches: "ippo-rnn-taught", and partners: "ippo with human=still"
     preset: str
     steps: int  # asked for, per seed
     note: str = ""  # settings that tell it from others: "ppo.gamma=0.9"
@@ -181,6 +181,7 @@ def experiments(runs: Sequence[StoredRun]) -> list[Experiment]:
     for run in runs:
         s = run.settings
         switches = "-rnn" * s.get("ppo.recurrent", False) + "-shared" * s.get("ppo.share_parameters", False)
+        switches += "-taught" * bool(s.get("ppo.teachers", ()))
         partners = "".join(f" with {partner}" for partner in s.get("partners", ()))
         method = Method(s["algorithm"] + switches + partners, s["preset"], s["steps"])
         alike[s["task"], _person(s), method].append(run)
