@@ -328,7 +328,8 @@ class PPO:
         desired_kl = dict.fromkeys(kl, c.desired_kl)
         if self.teacher.players:  # they may move a policy as far as they have to
             led = ("shared",) if c.share_parameters else self.teacher.players
-            desired_kl |= dict.fromkeys(led, jnp.where(teaching > 0.0, 0.0, c.desired_kl))
+            limited = (teaching <= 0.0) | ((c.teaching_kl > 0.0) & (c.desired_kl > 0.0))
+            desired_kl |= dict.fromkeys(led, jnp.where(limited, c.desired_kl + teaching * c.teaching_kl, 0.0))
         rate_scale = {name: adapted_rate(state.rate_scale[name], kl[name], desired_kl[name]) for name in kl}
         for agent, networks in self.networks.of(params).items():
             value, target = samples[agent]["critic"]["old"], samples[agent]["critic"]["target"]
