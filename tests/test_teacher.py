@@ -96,6 +96,21 @@ def test_teaching_stops_for_good():
     assert np.any(first["shown"]["human"] != 0) and not np.any(later["shown"]["human"])
 
 
+@pytest.mark.parametrize(("teaching_kl", "slowed"), [(0.0, False), (1e-3, True), (1e3, False)])
+def test_who_is_taught_may_move_as_far_as_it_has_to_unless_there_is_a_limit(teaching_kl, slowed):
+    ppo = taught(64, 4, teaching_steps=10**9, teaching_kl=teaching_kl, desired_kl=1e-3)
+    _, stats = learned(ppo, 2)
+    assert stats["human"]["approx_kl"] > 2 * 2e-3 and (stats["human"]["rate_scale"] < 1.0) == slowed
+
+
+def test_the_limit_on_who_is_taught_comes_down_to_the_usual_one_with_what_is_taught():
+    steps = 10 * 64 * 4  # of four iterations
+    for teaching_kl in (0.0, 1e3):  # with either the first three may move freely
+        ppo = taught(64, 8, teaching_steps=steps, teaching_kl=teaching_kl, desired_kl=1e-5)
+        assert learned(ppo, 3)[1]["human"]["rate_scale"] == 1.0
+        assert learned(ppo, 6)[1]["human"]["rate_scale"] < 1.0
+
+
 def test_resume_equals_uninterrupted_to_the_bit(tmp_path):
     ppo = taught(4, 4)
     step = jax.jit(lambda state: ppo.improve(*ppo.collect(state))[0])
@@ -157,5 +172,7 @@ def test_teachers_that_cannot_teach_are_refused():
             PPO(env, replace(QUICK, teachers=(name,)), 4, 1)
     with pytest.raises(UsageError, match="teaching_coef must be 0 or more"):
         PPOConfig(teaching_coef=-1.0)
+    with pytest.raises(UsageError, match="teaching_kl must be 0 or more"):
+        PPOConfig(teaching_kl=-1.0)
     with pytest.raises(UsageError, match="teaching_steps"):
         PPOConfig(teaching_steps=0)
