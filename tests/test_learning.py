@@ -485,9 +485,6 @@ def test_tuned_settings_stand_in_for_those_of_the_configuration():
     others |= {"gae_lambda": 0.3, "max_grad_norm": 0.1, "initial_log_std": -1.0, "noise_correlation": 0.9}
     others |= {"desired_kl": 1e-3}
     assert set(others) == tunable(PPOConfig()) - {"teaching_coef", "teaching_kl"}  # nobody teaches here
-        "teaching_coef",
-        "teaching_kl",
-    }  # nobody teaches here, see test_teacher.py
     quick = {"num_steps": 10, "num_minibatches": 2, "update_epochs": 2, "hidden": (8,)}
 
     def params(config):
