@@ -118,8 +118,9 @@ class OfferSkin(Offer):
         self._sides = jnp.array([int(i) for i in stored["sides"]])
 
     def posture(self, carry, state):
-        count = len(self._sides)
-        side = jnp.round(self.env.task.side(state.task) / (2.0 * np.pi) * count).astype(int) + count // 2
+        up, across = self.env.task.side(state.task)
+        count = len(self._sides)  # the first is opposite the upper side
+        side = jnp.round((jnp.arctan2(across, up) / (2.0 * np.pi) + 0.5) * count).astype(int)
         return self._postures[self._sides[side % count]], carry
 
 

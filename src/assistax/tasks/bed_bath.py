@@ -36,13 +36,11 @@ class BedBathConfig:
     wash_seconds: float = 0.0  # s, and is done, once for all, after so long in all; 0: at once, merely visited
     wipe_scale: float = 3.0  # per newly visited point; more if fewer than 52 are dirty, the same in all
     sided: bool = False  # whether observations tell on which side how much dirt is, and the way leads around the limb
-    # Where it does, a point is as bad to wash next as one that is so much farther away, in m, if its skin looks away
-    # from the robot, or if the pad has to turn over for it. 0.2 m are 90°.
-    hidden: float = 0.6
-    turned: float = 0.2
-    reach_each: bool = (
-        False  # whether every dirty point pays a share of reach, all of it once it is washed, see _reach_each
-    )
+    # Where it does, a point is as bad to wash next as one that is so much farther away if its skin looks away
+    # from the robot, or if the pad has to turn over for it.
+    hidden: float = 0.6  # m
+    turned: float = 0.2  # m
+    reach_each: bool = False  # whether every dirty point pays a share of reach, for good once it is washed
     # Where the points are: all around the arm, or between fractions of the segment's length from its start, and up to
     # this angle to either side of up.
     around: bool = False
@@ -170,13 +168,9 @@ class BedBath:
         vectors, normals = (left @ x / jnp.maximum(count, 1)[:, None] for x in (self.to_points(s), self.out_of_skin(s)))
         return vectors, normals, count / state.dirty.sum()
 
-    def _side(self, state: BedBathState):
+    def side(self, state: BedBathState):
         """The mean of unit vectors [2] to what was dirty, around a limb from its upper side."""
         return state.dirty @ self._around / state.dirty.sum()
-
-    def side(self, state: BedBathState):
-        """Where around the limb, from its upper side, the middle of what was dirty is, in rad."""
-        return jnp.arctan2(*self._side(state)[::-1])
 
     def observe(self, s: Sensors, state: BedBathState):
         vectors, normals, _ = self.places(s)
@@ -196,7 +190,7 @@ class BedBath:
                 "dirt_vectors": to_dirt.ravel(),
                 "dirt_normals": out_of_dirt.ravel(),
                 "dirt_left": share,
-                "dirty_side": self._side(state),
+                "dirty_side": self.side(state),
             }
         return blocks
 
