@@ -146,7 +146,7 @@ class Reach:
             )
             for i in np.flatnonzero(~found & np.asarray(near)):
                 found[i] = self._touches(np.asarray(poses[i], float), self.skin[self.segment[i]])
-        return found, np.asarray(jax.vmap(exposed, (0, 0, None))(normals, places, self.base))
+        return found, np.asarray(exposed(normals, places, self.base))
 
     def _touches(self, qpos, skin):
         touching = False

@@ -130,7 +130,7 @@ class Env:
         self._start, self._noise = jnp.asarray(key.qpos), jnp.asarray(config.reset_noise * movable)
         self._staying = config.human.redraw_every > 1
         self._books = Bookkeeping(self.dt, config.force_limit, config.human.preferring)
-        self._draw_where = whole_batch(self._draw_batch)
+        self._draw_where, self._observe_where = whole_batch(self._draw_batch), whole_batch(self._observe_batch)
         self._layouts = self._measure_layouts()
         sizes = {who: max(place.stop for place in layout.values()) for who, layout in self._layouts.items()}
         self.observation_sizes = {agent: sizes[agent] for agent in AGENTS}
@@ -187,7 +187,8 @@ class Env:
         state = jax.tree.map(partial(jnp.where, done), self._begin(physics, start, jnp.int32(0), met), kept)
         info["final_observation"] = obs
         info["final_global_observation"] = self.global_obs(end)
-        return self._observe(state), state, rewards, terminated, truncated, info
+        first = self._observe_where(done, jax.lax.stop_gradient(state))  # depends on nothing that was done
+        return jax.tree.map(partial(jnp.where, done), first, obs), state, rewards, terminated, truncated, info
 
     def step_env(self, key: jax.Array, state: EnvState, actions: Obs):
         """`step` without the auto-reset: the ended episode's own last observation and state.
@@ -348,6 +349,11 @@ class Env:
     def _observe(self, state: EnvState) -> Obs:
         blocks = self._blocks(state)
         return {agent: joined(self.sensors.seen_by(agent, blocks)) for agent in AGENTS}
+
+    def _observe_batch(self, done: jax.Array, states: EnvState) -> Obs:
+        """Observations [n, ...] where an episode begins, zeros elsewhere: most steps need none beside their own."""
+        blank = {agent: jnp.zeros((len(done), size)) for agent, size in self.observation_sizes.items()}
+        return map_where(jax.vmap(self._observe), done, blank, states)
 
     def _measure_layouts(self) -> dict[str, dict[str, slice]]:
         layouts = {}

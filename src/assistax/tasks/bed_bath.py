@@ -87,6 +87,8 @@ class BedBath:
         self._around = jnp.stack([jnp.cos(self._angle), jnp.sin(self._angle)], 1)
         self.spots = dict(zip(bodies, self.points, strict=True))
         self._axis = jnp.array([limb.axis for limb, _ in limbs])
+        self._middle = jnp.array([limb.centre for limb, _ in limbs])
+        self._up_side = jnp.array([(up, side) for _, up, side in skins])
         self._radius = jnp.array([limb.radius for limb, _ in limbs])
         self.segment = np.repeat(np.arange(len(SEGMENTS)), [len(xs) for xs in self.points])  # [52], of each point
 
@@ -132,20 +134,29 @@ class BedBath:
     def out_of_skin(self, s: Sensors) -> jax.Array:
         """Unit vectors [52, 3] that point out of the skin at the points, in world axes."""
         pairs = zip(SEGMENTS, self.normals, strict=True)
-        return jnp.concatenate([geometry.rotate(s[f"{segment}_quat"], normals) for segment, normals in pairs])
+        return jnp.concatenate([normals @ geometry.matrix(s[f"{segment}_quat"]).T for segment, normals in pairs])
 
     def places(self, s: Sensors):
         """Of all points vectors [52, 3] from the tool, unit vectors [52, 3] out of the skin, and ways [52] in m."""
         vectors, normals = self.to_points(s), self.out_of_skin(s)
         ways = norm(vectors)
         if self.config.sided:
-            ways += geometry.arc(vectors, normals, self.axes(s)[self.segment], self._radius[self.segment])
+            ways += self._arcs(s)
         return vectors, normals, ways
+
+    def _arcs(self, s: Sensors) -> jax.Array:
+        """Lengths [52] in m of the ways around the limbs, from the side that the tool is on to each point."""
+        quats = jnp.stack([s[f"{segment}_quat"] for segment in SEGMENTS])
+        places = jnp.stack([s[f"{segment}_pos"] for segment in SEGMENTS])
+        off = s["tool_pos"] - places - geometry.rotate(quats, self._middle)
+        up, side = (off[:, None] * geometry.rotate(quats[:, None], self._up_side)).sum(-1).T
+        apart = jnp.abs(jnp.arctan2(side, up)[self.segment] - self._angle)
+        return self._radius[self.segment] * jnp.minimum(apart, 2.0 * pi - apart)
 
     def suits(self, s: Sensors, vectors: jax.Array, normals: jax.Array):
         """From 0 to 1 how far the skin at all points faces the robot [52], and how flat the pad lies to it [52]."""
-        shown = jax.vmap(exposed, (0, 0, None))(normals, s["tool_pos"] + vectors, self._robot)
-        return shown, jax.vmap(facing, (0, None))(-normals, geometry.matrix(s["tool_quat"])[:, 2])
+        shown = exposed(normals, s["tool_pos"] + vectors, self._robot)
+        return shown, facing(-normals, geometry.matrix(s["tool_quat"])[:, 2])
 
     def target(self, s: Sensors, state: BedBathState) -> jax.Array:
         """The point not yet visited that is nearest, or, if skin has sides, best to reach; of all points at the end."""

@@ -25,13 +25,16 @@ def reach(distance: jax.Array) -> jax.Array:
 
 
 def exposed(normal: jax.Array, place: jax.Array, robot: jax.Array) -> jax.Array:
-    """How far skin at `place` [3] m faces a robot that stands at `robot` [3] m: from 0 to 1, 1 when its outward normal
-    points to the robot and 45° up, which is from where an arm comes. A mean of normals does, too."""
-    return facing(normal, unit(unit((robot - place) * LEVEL) + UP))
+    """How far skin at `place` [..., 3] m faces a robot that stands at `robot` [3] m: [...] from 0 to 1, 1 when its
+    outward normal [..., 3] points to the robot and 45° up, which is from where an arm comes. A mean of normals does,
+    too."""
+    level = (robot - place) * LEVEL
+    along = jnp.sum(normal * level, -1) / jnp.maximum(norm(level), 1e-6)
+    return 0.5 + 0.5**1.5 * (along + normal[..., 2])
 
 
 def facing(one: jax.Array, other: jax.Array) -> jax.Array:
-    """From 0, opposite, to 1, alike, of unit vectors [3]."""
+    """From 0, opposite, to 1, alike, of unit vectors [..., 3] and [3]."""
     return 0.5 * (1.0 + one @ other)
 
 
