@@ -113,7 +113,7 @@ def test_the_list_begins_with_five_seeds_of_every_task():
     for pattern, count in {
         "still": 15,
         "-preferences-10M-": 6 + 20,
-        "-preferences-2M-": 9,
+        "-preferences-4M-": 9,
         "version1/feeding-ippo-default-tremor-": 1,
         "-untaught-4M-": 9,
     }.items():

@@ -26,6 +26,7 @@ from assistax.training.presets import TASKS, UNTAUGHT
 ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
 STEPS = {"default": 10_000_000, "paper": 40_000_000}  # of PPO by preset; ours take half an hour
 SHORT = 2_000_000  # of our PPO where it is enough: in tasks of version 1 that do not need the person
+VARIED = 4_000_000  # where people have preferences in those tasks
 NEED_TWO = ("scratch", "bed_bath")
 ALONE = "-untaught"  # what are the teachers worth?
 SAC_STEPS = {"default": 3_000_000, "paper": 6_000_000}
@@ -150,7 +151,9 @@ def _trainings(
     def usual(task):
         if algorithm == "masac":
             return SAC_STEPS[preset]
-        return SHORT if (version, preset) == (1, "default") and task not in NEED_TWO else STEPS[preset]
+        if (version, preset) == (1, "default") and task not in NEED_TWO:
+            return VARIED if people == "-preferences" else SHORT
+        return STEPS[preset]
 
     for seed in range(seeds):
         yield from (Training(task, algorithm, preset, people, seed, steps or usual(task), version) for task in tasks)
