@@ -111,10 +111,17 @@ UNTAUGHT = {"ppo.teachers": (), "ppo.initial_log_std": -1.0}  # the settings of 
 _RUBBING = _TAUGHT | {"initial_log_std": -2.0}  # with twice the noise the scripts themselves cannot press and stroke
 _BY_TASK: dict[str, dict[str, Any]] = {
     "scratch": _RUBBING,
-    # Every side of the arm asks for another posture, so that there is more to be shown; with larger steps, or a limit
-    # of 5, what was learned is lost again.
+    # Every side of the arm asks for another posture, so that there is more to be shown. With larger steps what was
+    # learned is lost again, and so it is with noise that is independent from step to step: so little of it moves no
+    # tool, and nothing is left to learn from.
     "bed_bath": _RUBBING
-    | {"initial_log_std": -2.5, "teaching_steps": 2_000_000, "desired_kl": 0.01, "cost_limit": 3.0},
+    | {
+        "initial_log_std": -2.5,
+        "teaching_steps": 2_000_000,
+        "desired_kl": 0.01,
+        "correlated_steps": 0,
+        "cost_limit": 3.0,
+    },
     # With 2 the arm is lifted later; in the end it costs 0.3 to 1.6 either way.
     "arm_assist": _TAUGHT | {"cost_limit": 5.0},
     # With 2 a team fed everybody and hit the face with 55 N once in an episode.
