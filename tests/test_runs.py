@@ -16,6 +16,7 @@ import pytest
 from safetensors.numpy import load_file
 from stored import store_checkpoint, train_without_pictures
 
+from assistax.cli.export import export
 from assistax.errors import UsageError
 from assistax.training import journal, loop, pieces
 from assistax.training.checkpoint import read_metadata
@@ -23,7 +24,7 @@ from assistax.training.configuration import configure
 from assistax.training.loop import train
 from assistax.training.partners import find_partner
 from assistax.training.run import Run
-from assistax.training.team_file import load_team, save_team
+from assistax.training.team_file import load_team, read_measured, save_team
 
 SMALL = {"ppo.num_steps": 8, "ppo.num_minibatches": 2, "ppo.update_epochs": 1, "ppo.hidden": (8, 8)}
 SMALL |= {"env.episode_length": 16}
@@ -139,6 +140,17 @@ def test_a_team_file_plays_as_its_run(evaluated, tmp_path):
         assert np.abs(actions[0]).max() > 1e-3
     with pytest.raises(UsageError, match="is a checkpoint, not a team"):
         load_team(run.newest_checkpoint())
+
+
+def test_a_team_file_says_what_the_team_reached(evaluated, tmp_path):
+    run, summary = evaluated
+    path = tmp_path / "team.safetensors"
+    export(run.folder, out=path, seed=1)
+    measured = read_measured(path)
+    assert measured["mean_return"] == summary["evaluation"][1]["mean_return"] != summary["evaluation"][0]["mean_return"]
+    assert measured["steps"] == summary["steps"] and measured["commit"] == summary["commit"]
+    save_team(path, run.teams()[1], run.config)
+    assert read_measured(path) is None
 
 
 def test_a_partner_comes_from_a_run(evaluated, tmp_path):

@@ -98,6 +98,6 @@ CHECKPOINT: Schema = {
     "seconds": {str: float},
     "settings?": {str: object},
 }
-TEAM: Schema = {"team": CONFIG}
+TEAM: Schema = {"team": CONFIG, "measured?": {str: object}}
 PARTNER: Schema = {"partner": CONFIG, "members": range(1, 10**4), "deterministic": bool}  # a run's copy of it
 UNFINISHED: Schema = {"trials": [[STEPS]], "points": [[[object]]], "seconds": {str: float}}  # trials of a sweep

@@ -13,7 +13,8 @@ from assistax.errors import UsageError
 def export(run: Annotated[Path, tyro.conf.Positional], *, out: Path, seed: Number = None) -> None:
     """Write the trained team of a run into one small file, which plays without the run folder.
 
-    As .safetensors for `assistax play` and other commands; as .npz for `assistax.load_team`, which needs only NumPy.
+    As .safetensors for `assistax play` and other commands, with what it reached at the end of training; as .npz for
+    `assistax.load_team`, which needs only NumPy.
 
     Args:
       run: a run folder.
@@ -35,5 +36,5 @@ def export(run: Annotated[Path, tyro.conf.Positional], *, out: Path, seed: Numbe
         with writing(out):
             as_numpy(team).save(out)
     else:
-        save_team(out, team, dataclasses.replace(found.config, seed=seed))
+        save_team(out, team, dataclasses.replace(found.config, seed=seed), found.measured(seed))
     print(f"wrote {out}")

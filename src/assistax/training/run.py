@@ -18,7 +18,7 @@ from typing import Any
 from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.files import read_json, write_json
-from assistax.formats import CONFIG
+from assistax.formats import CONFIG, SUMMARY
 from assistax.policies import Player, Team
 from assistax.settings import with_settings
 from assistax.stamp import stamp_changes
@@ -124,6 +124,15 @@ class Run:
         """The policies of each seed, from the newest checkpoint."""
         params = learned(self.folder, self.config, self.trainer)
         return [self._team(mine, deterministic) for mine in params]
+
+    def measured(self, seed: int) -> dict[str, Any] | None:
+        """What the team of a seed reached at the end of training, as in summary.json; None before that."""
+        path = self.folder / "summary.json"
+        if not path.exists():
+            return None
+        summary = read_json(path, SUMMARY)
+        about = {name: summary[name] for name in ("steps", "commit", "source", "hardware") if name in summary}
+        return about | summary["evaluation"][list(self.seeds.seeds).index(seed)]
 
     def earlier_teams(self, steps: int, deterministic: bool | None = None) -> list[Team]:
         """The policies of each seed as they were at an evaluation; [] if none were kept there, see `snapshots`."""

@@ -35,8 +35,8 @@ def trained_file(task: str) -> Path:
     raise UsageError(f"No trained team comes with {task} yet; there is one for {', '.join(there) or 'none'}.")
 
 
-def save_team(path: Path, team: Team, config: TrainConfig) -> None:
-    """Write a team that was trained by this configuration.
+def save_team(path: Path, team: Team, config: TrainConfig, measured: dict[str, Any] | None = None) -> None:
+    """Write a team that was trained by this configuration, and what was measured of it, if anything was.
 
     Weights in half precision: tens of KB, and no more rounding than a small change of the observation.
     """
@@ -45,7 +45,8 @@ def save_team(path: Path, team: Team, config: TrainConfig) -> None:
     if absent := ", ".join(text.partition("=")[0] for text in config.partners):
         raise UsageError(f"Only whole teams can be exported; in this run the {absent} did not learn.")
     params = {agent: _smaller(player.member(0)) for agent, player in team.items()}
-    save_checkpoint(path, params, {"team": to_json(dataclasses.replace(config, num_seeds=1))})
+    about = {"team": to_json(dataclasses.replace(config, num_seeds=1))}
+    save_checkpoint(path, params, about | ({"measured": measured} if measured else {}))
 
 
 def _smaller(params: Any) -> Any:
@@ -64,6 +65,12 @@ def read_team(path: Path) -> TrainConfig:
     if wrong := mismatch(about, TEAM):
         raise UsageError(f"{path} is damaged: in its metadata, {wrong}.")
     return stored_config(about["team"], f"the metadata of {path}")
+
+
+def read_measured(path: Path) -> dict[str, Any] | None:
+    """What the team in a file reached when its training ended, see Run.measured; None if the file does not say."""
+    read_team(path)
+    return read_metadata(path).get("measured")
 
 
 def load_team(path: Path, settings: Mapping[str, Any] | None = None, engine: str | None = None) -> tuple[Env, Team]:
