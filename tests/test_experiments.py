@@ -108,13 +108,13 @@ def test_the_list_begins_with_five_seeds_of_every_task():
     assert names[0] == "version1/scratch-ippo-default-10M-0"
     assert all(name.startswith("version1/") and "-ippo-default-" in name for name in names[:25])
     assert sum("scratch" in name and "-10M-" in name for name in names[:25]) == 5
-    assert sum("bed_bath" in name and "-4M-" in name for name in names[:25]) == 5
+    assert sum("bed_bath" in name and "-6M-" in name for name in names[:25]) == 5
     assert sum("-2M-" in name for name in names[:25]) == 15
     assert {name[-1] for name in names[:25]} == set("01234")
     for pattern, count in {
         "still": 15,
         "-preferences-10M-": 3 + 20,
-        "-preferences-4M-": 12,
+        "-preferences-4M-": 9,
         "version1/feeding-ippo-default-tremor-": 1,
         "-untaught-4M-": 9,
     }.items():
