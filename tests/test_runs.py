@@ -18,6 +18,7 @@ from stored import store_checkpoint, train_without_pictures
 
 from assistax.cli.export import export
 from assistax.errors import UsageError
+from assistax.files import write_json
 from assistax.training import journal, loop, pieces
 from assistax.training.checkpoint import read_metadata
 from assistax.training.configuration import configure
@@ -151,6 +152,14 @@ def test_a_team_file_says_what_the_team_reached(evaluated, tmp_path):
     assert measured["steps"] == summary["steps"] and measured["commit"] == summary["commit"]
     save_team(path, run.teams()[1], run.config)
     assert read_measured(path) is None
+
+
+def test_a_team_file_does_not_say_what_an_earlier_team_of_a_prolonged_run_reached(evaluated, tmp_path):
+    run, summary = evaluated
+    folder = shutil.copytree(run.folder, tmp_path / "prolonged")
+    write_json(folder / "summary.json", summary | {"steps": summary["steps"] - run.steps_per_iteration})
+    export(folder, out=tmp_path / "team.safetensors")
+    assert read_measured(tmp_path / "team.safetensors") is None
 
 
 def test_a_partner_comes_from_a_run(evaluated, tmp_path):

@@ -145,7 +145,10 @@ class BedBath:
         return vectors, normals, ways
 
     def _arcs(self, s: Sensors) -> jax.Array:
-        """Lengths [52] in m of the ways around the limbs, from the side that the tool is on to each point."""
+        """Lengths [52] in m of the ways around the limbs, from the side that the tool is on to each point.
+
+        As geometry.arc has them, but with one angle of the tool for each limb, not for each point: that is not free.
+        """
         quats = jnp.stack([s[f"{segment}_quat"] for segment in SEGMENTS])
         places = jnp.stack([s[f"{segment}_pos"] for segment in SEGMENTS])
         off = s["tool_pos"] - places - geometry.rotate(quats, self._middle)

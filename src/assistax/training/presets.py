@@ -112,8 +112,7 @@ _RUBBING = _TAUGHT | {"initial_log_std": -2.0}  # with twice the noise the scrip
 _BY_TASK: dict[str, dict[str, Any]] = {
     "scratch": _RUBBING,
     # Every side of the arm asks for another posture, so that there is more to be shown. With larger steps what was
-    # learned is lost again, and so it is with noise that is independent from step to step: so little of it moves no
-    # tool, and nothing is left to learn from.
+    # learned is lost again, and so it is with noise that is independent from step to step: docs/findings.md.
     "bed_bath": _RUBBING
     | {
         "initial_log_std": -2.5,

@@ -22,6 +22,7 @@ from assistax.formats import CONFIG, SUMMARY
 from assistax.policies import Player, Team
 from assistax.settings import with_settings
 from assistax.stamp import stamp_changes
+from assistax.training.checkpoint import read_metadata
 from assistax.training.configuration import TrainConfig, check_settings, to_json
 from assistax.training.memory import check_memory
 from assistax.training.partners import GIVEN, find_partners, keep_partners
@@ -126,11 +127,14 @@ class Run:
         return [self._team(mine, deterministic) for mine in params]
 
     def measured(self, seed: int) -> dict[str, Any] | None:
-        """What the team of a seed reached at the end of training, as in summary.json; None before that."""
-        path = self.folder / "summary.json"
-        if not path.exists():
+        """What the team of a seed reached at the end of training, as in summary.json; None before that.
+
+        Also None in a run that has been prolonged and is past what its summary tells of.
+        """
+        path, checkpoint = self.folder / "summary.json", self.newest_checkpoint()
+        summary = read_json(path, SUMMARY) if path.exists() else {}
+        if checkpoint is None or summary.get("steps") != read_metadata(checkpoint)["steps"]:
             return None
-        summary = read_json(path, SUMMARY)
         about = {name: summary[name] for name in ("steps", "commit", "source", "hardware") if name in summary}
         return about | summary["evaluation"][list(self.seeds.seeds).index(seed)]
 
