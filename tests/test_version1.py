@@ -139,3 +139,21 @@ def test_the_packaged_brushing_team_of_version_0_brushes_by_what_it_counted_and_
 
     counted, brushed = jax.jit(jax.vmap(one))(jax.random.split(jax.random.key(0), 4))
     assert counted.min() > 2.0 and brushed.max() < 0.5
+
+
+def test_the_way_around_an_arm_is_the_shorter_one():
+    """From wherever the pad is, to each point of the skin: by the angle between two directions from the limb's axis."""
+    env = env_of("bed_bath")
+    task, (_, state) = env.task, env.reset(jax.random.key(0))
+    s = dict(env.sensors(state.physics))
+    ways = []
+    for where in np.random.default_rng(0).normal(scale=0.3, size=(20, 3)):
+        s["tool_pos"] = s["forearm_pos"] + where
+        vectors, normals, got = task.places(s)
+        axes, radius = (np.asarray(x, float)[task.segment] for x in (task.axes(s), task._radius))
+        off = radius[:, None] * np.asarray(normals, float) - np.asarray(vectors, float)
+        side = off - axes * (off * axes).sum(1, keepdims=True)
+        cosine = (side * normals).sum(1) / np.linalg.norm(side, axis=1)
+        ways.append(radius * np.arccos(np.clip(cosine, -1.0, 1.0)))
+        np.testing.assert_allclose(got, np.linalg.norm(vectors, axis=1) + ways[-1], atol=2e-4)
+    assert np.ptp(ways) > 0.1
