@@ -1,6 +1,7 @@
 """People with habits: what each parameter does, against the scripted people that habits are made of."""
 
 import dataclasses
+from itertools import combinations
 
 import jax
 import jax.numpy as jnp
@@ -84,3 +85,15 @@ def test_vigour_and_noise(moment):
 def test_an_unknown_habit_is_one_line(env):
     with pytest.raises(UsageError, match="habit"):
         person(env, "nice")
+
+
+def test_each_way_of_offering_turns_the_arm_into_postures_of_its_own(env):
+    """Itches of 256 resets: every way turns the arm for three of ten or more, no two ways into the same posture."""
+    offering = offer(env)
+    _, states = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(4), 256))
+    aims = np.array([jax.vmap(lambda s, k=k: offering.posture({}, s, k)[0])(states) for k in range(offering.ways)])
+    turned = np.abs(aims - np.asarray(offering.rest)).max(-1) > 1e-3
+    assert offering.ways == 4 and turned.mean(1).min() > 0.3
+    for i, j in combinations(range(offering.ways), 2):
+        both = turned[i] & turned[j]
+        assert both.any() and np.abs(aims[i] - aims[j]).max(-1)[both].min() > 0.3

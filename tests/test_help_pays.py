@@ -177,7 +177,7 @@ def test_washing_more_is_paid_more_than_stopping_and_hovering_where_it_pays_best
     """An episode that washes these shares of the dirt at once and then hovers to its end, wherever that pays best."""
     env = assistax.make("bed_bath-v1", engine="mujoco")
     rows, driven = [], scenes.qpos_ids(env.model, env.spec.scene.human_driven)
-    for posture in [None, *json.loads(OFFERS.read_text())["bed_bath"]["postures"]]:
+    for posture in [None, *json.loads(OFFERS.read_text())["bed_bath"][0]["postures"]]:
         data = mujoco.MjData(env.model)
         mujoco.mj_resetDataKeyframe(env.model, data, 0)
         if posture:

@@ -176,3 +176,15 @@ def test_teachers_that_cannot_teach_are_refused():
         PPOConfig(teaching_kl=-1.0)
     with pytest.raises(UsageError, match="teaching_steps"):
         PPOConfig(teaching_steps=0)
+
+
+def test_a_person_may_be_taught_a_habit():
+    env = assistax.make("scratch")
+    shown = {}
+    for name in ("offer", "offers", "offers_second_way"):
+        teacher = Teacher(env, 64, (f"human={name}",), ("robot", "human"))
+        obs, state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 64))
+        start = jnp.ones(64, bool)
+        shown[name], _ = teacher.show(teacher.init(), state, obs, start, jax.random.key(1))
+    np.testing.assert_allclose(shown["offers"]["human"], shown["offer"]["human"], atol=1e-6)
+    assert np.abs(shown["offers_second_way"]["human"] - shown["offer"]["human"]).max() > 0.05

@@ -8,6 +8,7 @@ arm's skin the robot can reach beside a person at rest, and beside one who moves
 
 What can be touched can still not be scratched or washed well. So the scripted robot plays beside people who hold the
 most promising postures, with an itch in every place and dirt on every side, and each gets the posture that serves best.
+Other people turn the arm in other ways: these postures are chosen by what can be touched in them alone.
 """
 
 import dataclasses
@@ -41,7 +42,10 @@ SIDES = 24  # around the arm, on which it may be dirty
 PLAYED = 14  # postures, at most, in which the robot scratches
 PLAY_STEPS = 800
 ENOUGH = 4.0  # s of scratching; more is not better
-REST_BONUS = {"scratch": 0.15, "bed_bath": 0.05}  # of what is best: by so much worse it may be not to move
+WAYS = 4  # of offering an itch
+APART = 0.35  # rad, in some joint: postures of different ways
+# By so much worse it may be not to move, of what is best where postures are played, and of what is touched.
+REST_PLAYED, REST_TOUCHED = {"scratch": 0.15, "bed_bath": 0.05}, 0.05
 
 
 class Reach:
@@ -173,7 +177,7 @@ class Holds(Offer):
     def initial_carry(self):
         return super().initial_carry() | {"held": self.rest}
 
-    def posture(self, carry, state):
+    def posture(self, carry, state, way):
         return carry["held"], carry
 
 
@@ -231,17 +235,43 @@ def choose(worth, count):
     return chosen
 
 
-def offers(task: str) -> dict:
+def way(task: str, postures, worth, bonus) -> dict:
+    """Which of these postures, of which the first is rest, serves each place, by what each is worth there.
+
+    By the `bonus` it may be worse not to move.
+    """
+    best = (worth + bonus * (np.arange(len(postures)) == 0)[:, None]).argmax(0)
+    if task == "scratch":
+        rows = best.reshape(len(SEGMENTS), *CELLS)
+        told = {part: ["".join(map(str, row)) for row in of] for part, of in zip(SEGMENTS, rows, strict=True)}
+    else:
+        told = {"sides": "".join(map(str, best))}
+    return {"postures": np.round(postures, 3).tolist(), **told}
+
+
+def others(first, postures, touched):
+    """Rest and MORE postures, WAYS - 1 times, by what is touched in them, none near one that is in use before."""
+    used = list(first[1:])
+    for _ in range(WAYS - 1):
+        apart = np.abs(postures[:, None] - np.array(used)).max(-1).min(1)
+        fresh = np.where((apart > APART) | (np.arange(len(postures)) == 0), 1.0, 0.0)
+        chosen = choose(touched * fresh[:, None], MORE)
+        yield postures[chosen], touched[chosen], REST_TOUCHED
+        used += list(postures[chosen[1:]])
+
+
+def offers(task: str) -> list[dict]:
+    """The ways of offering, the usual first."""
     reach = Reach(task)
     limits = reach.model.jnt_range[[reach.model.joint(j).id for j in reach.env.spec.scene.human_driven]]
     grid = product(*(np.linspace(low + 0.1, high - 0.1, GRID) for low, high in limits))
-    postures = [reach.rest[reach.person]] + [np.array(p) for p in grid if reach.possible(np.array(p))]
-    touched, facing = (np.array(xs) for xs in zip(*map(reach.touched, postures), strict=True))
+    possible = np.array([reach.rest[reach.person]] + [p for p in map(np.array, grid) if reach.possible(p)])
+    touched, facing = (np.array(xs) for xs in zip(*map(reach.touched, possible), strict=True))
     rest, some = touched[0].mean(), touched.any(0).mean()
-    print(f"{task}: {len(postures)} postures; {rest:.0%} of the skin touched at rest, {some:.0%} in some")
+    print(f"{task}: {len(possible)} postures; {rest:.0%} of the skin touched at rest, {some:.0%} in some")
+    promising = neighbourhood(touched * facing**2)
     if task == "scratch":
-        tried = choose(neighbourhood(touched * facing**2), PLAYED)
-        postures = [postures[i] for i in tried]
+        postures = possible[choose(promising, PLAYED)]
         worth = neighbourhood(scratched(reach, postures))
     else:
         sides = np.linspace(-np.pi, np.pi, SIDES, endpoint=False)
@@ -250,20 +280,16 @@ def offers(task: str) -> dict:
         near = (apart < AROUND_PAD) & (reach.env.task.segment[:, None] == reach.segment)
         dirty = dirt(reach.env.task, sides)
         reached = ((touched.astype(int) @ near.T >= 2)[:, None] & dirty).sum(2) / dirty.sum(1)
-        tried = [0, *np.flatnonzero(reached.max(1) > reach.env.task.config.success_fraction)]
-        postures = [postures[i] for i in tried]
+        postures = possible[[0, *np.flatnonzero(reached.max(1) > reach.env.task.config.success_fraction)]]
         worth = washed(reach, postures, sides)
         worth = np.mean([np.roll(worth, d, 1) for d in (-1, 0, 1)], 0)
     chosen = choose(worth, MORE)
-    best = (worth[chosen] + REST_BONUS[task] * (np.arange(len(chosen)) == 0)[:, None]).argmax(0)
-    if task == "scratch":
-        rows = best.reshape(len(SEGMENTS), *CELLS)
-        told = {part: ["".join(map(str, row)) for row in of] for part, of in zip(SEGMENTS, rows, strict=True)}
-    else:
-        told = {"sides": "".join(map(str, best))}
     for some in (chosen[:n] for n in range(1, len(chosen) + 1)):
         print(f"  {np.round(postures[some[-1]], 2)}: {worth[some].max(0).mean():.1%}")
-    return {"postures": np.round([postures[i] for i in chosen], 3).tolist(), **told}
+    ways = [(postures[chosen], worth[chosen], REST_PLAYED[task])]
+    if task == "scratch":
+        ways += others(postures[chosen], possible, promising)
+    return [way(task, *one) for one in ways]
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from assistax.env import AGENTS
 from assistax.errors import choose
 from assistax.learning.partners import act_as_members
 from assistax.policies import Player
-from assistax.policies.scripted import scripted_policy
+from assistax.policies.scripted import scripted_player
 
 
 class Teacher:
@@ -24,7 +24,7 @@ class Teacher:
     Args:
       env: an `assistax.env.Env`, whose state the scripts may see.
       num_envs: environments stepped side by side.
-      names: "human=offer": whom each teaches, and as who.
+      names: "human=offer": whom each teaches, and as who; the human also as somebody with a habit, "human=shy".
       learners: who learns at all; who does not, a frozen partner or nobody, is taught nothing.
     """
 
@@ -34,7 +34,7 @@ class Teacher:
         for text in names:
             agent, _, name = text.partition("=")
             if choose("agent of ppo.teachers", agent, AGENTS) in learners:
-                self.players[agent] = Player(scripted_policy(name, env, agent))
+                self.players[agent] = scripted_player(name, env, agent)
 
     def init(self) -> dict[str, Any]:
         """What each script remembers, by the learner that it teaches [num_envs, ...]."""

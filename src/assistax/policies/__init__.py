@@ -1,7 +1,7 @@
 """Who acts: the interface of a policy, players and teams, and the scripted ones."""
 
 from assistax.policies.player import Mixed, Player, Policy, Team, stack
-from assistax.policies.scripted import SCRIPTED, Random, Still, scripted_policy, scripted_team
+from assistax.policies.scripted import SCRIPTED, Random, Still, scripted_player, scripted_policy, scripted_team
 
 __all__ = [
     "SCRIPTED",
@@ -11,6 +11,7 @@ __all__ = [
     "Random",
     "Still",
     "Team",
+    "scripted_player",
     "scripted_policy",
     "scripted_team",
     "stack",

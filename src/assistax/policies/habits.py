@@ -20,6 +20,7 @@ class Habit:
     """How a person behaves; the fields are the parameters of a member."""
 
     offers: float = 1.0  # how much of the movement that offers what is worked on they make, 0 to 1
+    way: float = 0.0  # in which of the ways that there are in the task, see `people.Offer`
     follows: float = 0.0  # the force toward the tool, as a part of Reflex.pull; below 0: away from it
     speed: float = 1.5  # rad/s, of the movement that offers
     delay: float = 0.0  # s, until they do anything
@@ -37,6 +38,9 @@ HABITS = {
     "offers": Habit(),
     "offers_slowly": Habit(speed=0.3),
     "offers_fast": Habit(speed=3.0),
+    "offers_second_way": Habit(way=1.0),
+    "offers_third_way": Habit(way=2.0),
+    "offers_fourth_way": Habit(way=3.0),
     "hesitates": Habit(delay=1.5),
     "comes_late": Habit(delay=3.0),
     "rests": Habit(work=1.5, rest=0.7),
@@ -66,7 +70,7 @@ class Habits:
     def act(self, habit, carry, state, reset, key):
         steps = jnp.where(reset, 0, carry["steps"])
         seconds = steps * self.env.dt
-        offered, own = self._offer.act({"speed": habit["speed"]}, carry["offer"], state, reset, key)
+        offered, own = self._offer.act({k: habit[k] for k in ("speed", "way")}, carry["offer"], state, reset, key)
         s = self.env.sensors(state.physics)
         limb, _, _ = self._reflex.limb(state.physics.qpos)
         fast = jnp.linalg.norm(s["tool_vel"]) > habit["shy"]

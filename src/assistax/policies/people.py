@@ -52,9 +52,13 @@ class Reflex:
 
 
 class Offer:
-    """A person who moves into a posture in which the robot can reach what it is to work on, and holds it."""
+    """A person who moves into a posture in which the robot can reach what it is to work on, and holds it.
+
+    There may be several ways to do so: which is this person's is a number from 0, the usual one.
+    """
 
     privileged = True
+    ways = 1
     stiffness: Any = (60.0, 60.0, 25.0)  # N m/rad
     damping: Any = (4.0, 4.0, 1.0)  # N m s/rad
 
@@ -69,16 +73,17 @@ class Offer:
     def initial_carry(self) -> Any:
         return {"aim": self.rest}
 
-    def posture(self, carry, state) -> tuple[jax.Array, Any]:
+    def posture(self, carry, state, way) -> tuple[jax.Array, Any]:
         """The posture [driven] in rad that offers what is to be worked on, and the carry."""
         raise NotImplementedError
 
     def act(self, params, carry, state, reset, key):
         carry = jax.tree.map(lambda new, old: jnp.where(reset, new, old), self.initial_carry(), carry)
-        posture, carry = self.posture(carry, state)
-        way = posture - carry["aim"]
-        step = (params["speed"] if params else self._speed) * self.env.dt
-        aim = carry["aim"] + way * jnp.minimum(1.0, step / jnp.maximum(jnp.abs(way).max(), 1e-6))
+        params = params or {"speed": self._speed, "way": 0}
+        posture, carry = self.posture(carry, state, jnp.asarray(params["way"], jnp.int32) % self.ways)
+        missing = posture - carry["aim"]
+        step = params["speed"] * self.env.dt
+        aim = carry["aim"] + missing * jnp.minimum(1.0, step / jnp.maximum(jnp.abs(missing).max(), 1e-6))
         qpos, qvel = state.physics.qpos[self._ids], state.physics.qvel[self._ids]
         torque = jnp.array(self.stiffness) * (aim - qpos) - jnp.array(self.damping) * qvel
         resting = jnp.abs(aim - self.rest).max() < 1e-3  # on the furniture, with loose muscles
@@ -94,15 +99,16 @@ class OfferItch(Offer):
     def __init__(self, env, speed: float = 1.5):
         super().__init__(env, speed)
         stored = json.loads(OFFERS.read_text())["scratch"]
-        self._postures = jnp.array(stored["postures"])
-        self._cells = jnp.array([[[int(i) for i in row] for row in stored[part]] for part in SEGMENTS])
+        self.ways = len(stored)
+        self._postures = jnp.array([way["postures"] for way in stored])
+        self._cells = jnp.array([[[[int(i) for i in row] for row in way[part]] for part in SEGMENTS] for way in stored])
 
-    def posture(self, carry, state):
+    def posture(self, carry, state, way):
         height, angle = self.env.task.place(state.task)
-        _, rows, columns = self._cells.shape
+        rows, columns = self._cells.shape[-2:]
         row = jnp.clip((height + 1.0) / 2.0 * rows, 0, rows - 1).astype(int)
         column = jnp.clip((angle / np.pi + 1.0) / 2.0 * columns, 0, columns - 1).astype(int)
-        return self._postures[self._cells[state.task.segment, row, column]], carry
+        return self._postures[way, self._cells[way, state.task.segment, row, column]], carry
 
 
 class OfferSkin(Offer):
@@ -114,20 +120,21 @@ class OfferSkin(Offer):
     def __init__(self, env, speed: float = 1.5):
         super().__init__(env, speed)
         stored = json.loads(OFFERS.read_text())["bed_bath"]
-        self._postures = jnp.array(stored["postures"])
-        self._sides = jnp.array([int(i) for i in stored["sides"]])
+        self.ways = len(stored)
+        self._postures = jnp.array([way["postures"] for way in stored])
+        self._sides = jnp.array([[int(i) for i in way["sides"]] for way in stored])
 
-    def posture(self, carry, state):
+    def posture(self, carry, state, way):
         up, across = self.env.task.side(state.task)
-        count = len(self._sides)  # the first is opposite the upper side
+        count = self._sides.shape[-1]  # the first is opposite the upper side
         side = jnp.round((jnp.arctan2(across, up) / (2.0 * np.pi) + 0.5) * count).astype(int)
-        return self._postures[self._sides[side % count]], carry
+        return self._postures[way, self._sides[way, side % count]], carry
 
 
 class OfferFace(Offer):
     """Turns the face toward where the robot stands, and holds it level."""
 
-    turn = 0.5  # of the way
+    turns = (0.5, 0.0, 1.0)  # of what it would take to look at the robot: the ways
 
     stiffness = (25.0, 25.0)
     damping = (4.0, 4.0)
@@ -141,16 +148,17 @@ class OfferFace(Offer):
         ahead, robot = mouth.xmat[[0, 3]], (env.spec.scene.robot_pos - mouth.xpos)[:2]
         bearing = np.arctan2(ahead[0] * robot[1] - ahead[1] * robot[0], ahead @ robot)
         nod = np.arctan2(-mouth.xmat[6], np.linalg.norm(ahead))
-        self._posture = self.rest + jnp.array([self.turn * bearing, -nod])
+        self.ways = len(self.turns)
+        self._postures = self.rest + jnp.array([[turn * bearing, -nod] for turn in self.turns])
 
-    def posture(self, carry, state):
-        return self._posture, carry
+    def posture(self, carry, state, way):
+        return self._postures[way], carry
 
 
 class OfferTeeth(OfferFace):
     """Holds the face level, straight ahead: the brush comes from the side."""
 
-    turn = 0.0
+    turns = (0.0, 0.3, -0.3)
 
 
 class OfferArm:

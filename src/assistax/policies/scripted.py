@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from assistax.errors import choose
+from assistax.policies import habits
 from assistax.policies.experts import expert
 from assistax.policies.people import Reflex, offer
 from assistax.policies.player import Player, Policy, Team
@@ -63,6 +64,13 @@ def scripted_policy(name: str, env, agent: str) -> Policy:
             "withdraw": lambda: Reflex(env, -1.0),
         }
     return makers[choose(f"{agent}'s policy", name, makers)]()
+
+
+def scripted_player(name: str, env, agent: str) -> Player:
+    """The player of a scripted policy or, for the human, of a habit (see `policies.habits`)."""
+    if agent == "human" and name in habits.HABITS:
+        return habits.person(env, name)
+    return Player(scripted_policy(name, env, agent))
 
 
 def scripted_team(name: str, env) -> Team:

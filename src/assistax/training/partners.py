@@ -17,7 +17,7 @@ from assistax.errors import UsageError, choose
 from assistax.files import writing
 from assistax.formats import PARTNER
 from assistax.learning.trainer import Trainer
-from assistax.policies import Player, habits, scripted_policy
+from assistax.policies import Player, scripted_player
 from assistax.policies.habits import HABITS
 from assistax.training import splits
 from assistax.training.checkpoint import EVERYTHING, content_hash, load_checkpoint, read_metadata, save_checkpoint
@@ -106,12 +106,10 @@ def find_partner(name: str, env: Env, agent: str) -> Partner:
         return _of_team(Path(name), env, agent)
     if is_population(name):
         return _of_population(splits.named(name)[1], name, env, agent)
-    if agent == "human" and name in HABITS:
-        return Partner(habits.person(env, name))
-    if Path(name).is_dir():
+    if Path(name).is_dir() and not (agent == "human" and name in HABITS):
         return _of_run(Path(name), env, agent)
     try:
-        return Partner(Player(scripted_policy(name, env, agent)))
+        return Partner(scripted_player(name, env, agent))
     except UsageError as error:
         raise UsageError(f"{error} Or name a habit, a run folder, a team file or a population.") from None
 
