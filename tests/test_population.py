@@ -334,7 +334,8 @@ def test_a_population_is_a_partner_by_name(teams, tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def plan(tmp_path_factory):
     people = Person("none", "default"), Person("tremor", "default")
-    return Plan("scratch", people, steps=256, num_envs=8, settings=SMALL | {"evaluations": 4})
+    settings = SMALL | {"evaluations": 4}
+    return Plan("scratch", people, steps=256, num_envs=8, settings=settings, taught=("offers", "offers_second_way"))
 
 
 @pytest.fixture(scope="module")
@@ -374,6 +375,7 @@ def test_a_member_plays_as_in_its_run(in_one_go):
     folder, population = in_one_go
     run = Run.open(folder / "runs/0001-ippo-0")
     assert population[3]["person"]["disability"] == "tremor"
+    assert (population[0]["taught"], population[3]["taught"]) == ("offers", "offers_second_way")
     one = population.select([population.ids[3]])
     team = {agent: one.partner(agent, deterministic=True) for agent in ("robot", "human")}
     report = summarize(Evaluator(run.env, 3)(team))
@@ -407,6 +409,19 @@ def test_earlier_selves_are_those_a_third_and_two_thirds_of_the_way(monkeypatch)
     final = {"steps": 600, "mean_return": 1000.0, "success_rate": 1.0}
     found = gathering._earlier(run, {"seed": 7}, final)
     assert [(row["fraction"], team) for row, team in found] == [(0.333, "team 200"), (0.667, "team 500")]
+
+
+def test_every_habit_is_taught_as_often_and_another_with_another_seed():
+    people = tuple(Person(name) for name in ("none", "tremor", "weakness", "limited_range"))
+    plan = Plan("scratch", people, seeds=2, taught=("offers", "shy"))
+    taught = {name: config.method.teachers for name, config in plan.jobs()}
+    assert taught["0000-ippo-0"] == ("robot=expert", "human=offers") == taught["0001-ippo-1"]
+    assert taught["0000-ippo-1"] == ("robot=expert", "human=shy") == taught["0003-ippo-0"]
+    assert sorted(x[1] for x in taught.values()) == ["human=offers"] * 4 + ["human=shy"] * 4
+    with pytest.raises(UsageError, match="Unknown habit 'offer'. Did you mean 'offers'"):
+        Plan("scratch", people, taught=("offer",))
+    with pytest.raises(UsageError, match="Only PPO can be taught habits: leave out --taught or masac"):
+        Plan("scratch", people, ("ippo", "masac"), taught=("offers",))
 
 
 def test_another_plan_is_refused(plan, in_one_go, tmp_path):

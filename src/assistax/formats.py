@@ -58,6 +58,7 @@ MEMBER: Schema = {  # a row of a population's manifest.jsonl
     "person": _PERSON,
     "robot": bool,
     "habit?": str,
+    "taught?": str,
     "fraction?": float,
     "mean_return?": float,
     "success_rate?": float,
@@ -71,6 +72,7 @@ PLAN: Schema = {  # of a population, see teamwork/plan.py
     "steps": (STEPS, None),
     "num_envs": (COUNT, None),
     "settings": {str: object},
+    "taught?": [str],
 }
 SPLIT: Schema = {"train": [str], "val": [str], "test": [str]}
 VALIDITY: Schema = {"ids": [str], "matrix": {"return": [[float]]}}  # and more, see teamwork/validity.py

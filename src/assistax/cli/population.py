@@ -21,6 +21,7 @@ def train(
     steps: Number = None,
     seeds: Number = None,
     num_envs: Number = None,
+    taught: Name = None,
     set: Set = (),
     resume: File = None,
     processes: Number = None,
@@ -46,6 +47,8 @@ def train(
       steps: of each training (default 5 million).
       seeds: of each person and algorithm (default 1).
       num_envs: environments side by side, of each training (default as in `assistax train`).
+      taught: habits that the people are taught at first, one after the other: offers,offers_second_way,... (default
+        none, as who is taught by one script would be like all others).
       set: change any setting of all trainings, for example ppo.gamma=0.98.
       resume: continue this population.
       processes: so many trainings side by side (default 1 in this process; of an executor as many as fit).
@@ -69,7 +72,9 @@ def train(
         if out is None:
             raise UsageError("Say where the population goes: --out populations/NAME.")
         sizes = seeds or 1, steps, num_envs
-        wanted = plan.Plan(task, variety.people(people), tuple(algorithm.split(",")), *sizes, parse_assignments(set))
+        habits = tuple(taught.split(",")) if taught else ()
+        who = variety.people(people), tuple(algorithm.split(","))
+        wanted = plan.Plan(task, *who, *sizes, parse_assignments(set), habits)
         with writing(out):
             wanted.save(out)
     folder = Path(out or resume or "")

@@ -29,6 +29,7 @@ def gather(runs: Iterable[Run]) -> Population:
         for seed, team, report in zip(run.seeds.seeds, run.teams(), summary["evaluation"], strict=True):
             row: dict[str, Any] = {"task": run.config.task, "algorithm": run.config.algorithm}
             row |= {"seed": seed, "steps": summary["steps"], "person": person, "robot": True}
+            row |= {"taught": habit} if (habit := taught(run)) else {}
             final = row | {k: report[k] for k in ("mean_return", "success_rate", "safe_success_rate") if k in report}
             teams.append((final, team))
             teams += _earlier(run, row, final)
@@ -74,6 +75,12 @@ def one_person(run: Run) -> dict[str, str]:
     if human.people != "none" or human.disability == "standard" or human.preference == "sweep":
         raise UsageError(f"{run.folder} was trained with people drawn afresh, not with one person.")
     return {"disability": human.disability, "preference": human.preference}
+
+
+def taught(run: Run) -> str:
+    """The script that a run's person was taught at first; "" for none."""
+    teachers = getattr(run.config.method, "teachers", ())
+    return next((name for agent, _, name in (one.partition("=") for one in teachers) if agent == "human"), "")
 
 
 def _summary(run: Run) -> dict[str, Any]:

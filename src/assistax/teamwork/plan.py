@@ -16,13 +16,14 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from assistax.errors import UsageError
+from assistax.errors import UsageError, choose
 from assistax.executors.drive import Executor, drive
 from assistax.executors.jobs import Job, is_worker, work
 from assistax.files import read_json, write_json
 from assistax.formats import PLAN
 from assistax.human import Person
 from assistax.learning.algorithms import ALGORITHMS
+from assistax.policies.habits import HABITS
 from assistax.tasks import task_spec
 from assistax.teamwork.gather import gather
 from assistax.training import loop
@@ -46,6 +47,7 @@ class Plan:
     steps: int | None = None  # of each training; None: the default
     num_envs: int | None = None  # of each training; None: the default
     settings: Mapping[str, Any] = field(default_factory=dict)
+    taught: tuple[str, ...] = ()  # habits that the people are taught at first, one after the other; none: no teachers
 
     def __post_init__(self):
         object.__setattr__(self, "task", task_spec(self.task).id)
@@ -53,6 +55,11 @@ class Plan:
             raise UsageError("A population needs one person, algorithm and seed or more.")
         if given := [name for name in self.settings if name.startswith("env.human.") and "visibility" not in name]:
             raise UsageError(f"Who the members are says --people; leave out {given[0]}.")
+        for name in self.taught:
+            choose("habit", name, HABITS)
+        alone = [name for name in self.algorithms if ALGORITHMS[choose("algorithm", name, ALGORITHMS)].group != "ppo"]
+        if self.taught and alone:
+            raise UsageError(f"Only PPO can be taught habits: leave out --taught or {', '.join(alone)}.")
         next(iter(self.jobs()))  # settings that cannot be are refused before anything is written
 
     def jobs(self) -> Iterator[tuple[str, TrainConfig]]:
@@ -63,8 +70,11 @@ class Plan:
                 for seed in range(self.seeds):
                     name = f"{i:04d}-{algorithm}-{seed}"
                     # People who were taught by one script would all be alike.
-                    alone = UNTAUGHT if ALGORITHMS[algorithm].group == "ppo" else {}
-                    settings = {"snapshots": True} | alone | dict(self.settings) | who
+                    start = UNTAUGHT if ALGORITHMS[algorithm].group == "ppo" else {}
+                    if self.taught:  # every person another habit with another seed, every habit as often
+                        habit = self.taught[(i + seed) % len(self.taught)]
+                        start = {"ppo.teachers": ("robot=expert", f"human={habit}")}
+                    settings = {"snapshots": True} | start | dict(self.settings) | who
                     choices = {"algorithm": algorithm, "seed": seed, "steps": self.steps, "num_envs": self.num_envs}
                     yield name, configure(self.task, settings, **choices)
 
@@ -90,7 +100,7 @@ class Plan:
         settings = {k: tuple(v) if isinstance(v, list) else v for k, v in stored["settings"].items()}
         algorithms = tuple(stored["algorithms"])
         sizes = stored["seeds"], stored["steps"], stored["num_envs"]
-        return cls(stored["task"], people, algorithms, *sizes, settings)
+        return cls(stored["task"], people, algorithms, *sizes, settings, tuple(stored.get("taught", ())))
 
 
 def jobs(folder: Path, bar: Callable = progress_bar) -> list[Job]:

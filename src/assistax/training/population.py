@@ -272,7 +272,8 @@ def _hash(params: dict[str, Any], row: dict[str, Any]) -> str:
     """Of one member's weights and of who it is."""
     who = [row["task"], row["person"], row["seed"], row["steps"]]
     if row["architecture"] == SCRIPTED:
-        who.append(vars(HABITS[choose("habit", row["habit"], HABITS)]))
+        habit = vars(HABITS[choose("habit", row["habit"], HABITS)])
+        who.append({k: v for k, v in habit.items() if (k, v) != ("way", 0.0)})  # ids are older than ways
     found = hashlib.sha256(json.dumps(who).encode())
     for name, array in sorted(_flat(params).items()):
         found.update(f"{name} {array.dtype} {array.shape} ".encode())
