@@ -22,6 +22,7 @@ from assistax.evaluation.statistics import bootstrap_ci
 from assistax.human import HumanConfig
 from assistax.learning.algorithms import ALGORITHMS
 from assistax.results.stored import flat
+from assistax.settings import parse_assignments
 from assistax.training.configuration import DEFAULT_STEPS, FLAGS, configure, to_json
 from assistax.training.run import Run
 from assistax.training.sweep import Sweep
@@ -143,3 +144,11 @@ def test_the_command_lists_them_and_help_names_it():
     assert "sac.tau" not in stored
     for command in (train, sweep):
         assert "`assistax settings TASK` lists" in command.__doc__
+
+
+def test_words_in_a_list_are_written_with_commas():
+    teachers = parse_assignments(["ppo.teachers=human=offers_slowly,robot=expert"])
+    assert configure("scratch", teachers).method.teachers == ("human=offers_slowly", "robot=expert")
+    assert configure("scratch", parse_assignments(["ppo.teachers="])).method.teachers == ()
+    with pytest.raises(UsageError, match=r"ppo.hidden must be a list like \(1, 2\), not 'wide'"):
+        configure("scratch", {"ppo.hidden": "wide"})

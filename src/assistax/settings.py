@@ -95,8 +95,10 @@ def _cast(name: str, hint: Any, value: Any) -> Any:
     kind = typing.get_origin(hint) or hint
     if kind is types.UnionType:
         return value  # several types will do; the dataclass itself says which values
+    inner = typing.get_args(hint)
+    if kind is tuple and isinstance(value, str) and inner[0] is str:
+        value = [word for word in value.split(",") if word]  # as one writes them on a command line
     if kind is tuple and isinstance(value, (list, tuple)):
-        inner = typing.get_args(hint)
         if Ellipsis not in inner and len(inner) != len(value):
             raise UsageError(f"{name} takes {len(inner)} values, not {len(value)}.")
         return tuple(_cast(name, inner[0], v) for v in value)
