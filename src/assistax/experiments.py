@@ -26,7 +26,7 @@ from assistax.training.presets import TASKS, UNTAUGHT
 ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
 STEPS = {"default": 10_000_000, "paper": 40_000_000}  # of PPO by preset; ours take half an hour
 # ... but of version 1, where teachers help; with preferences no fewer than VARIED.
-TAUGHT = dict.fromkeys(TASKS, 2_000_000) | {"scratch": STEPS["default"], "bed_bath": 6_000_000}
+TAUGHT = dict.fromkeys(TASKS, 2_000_000) | {"scratch": 6_000_000, "bed_bath": 6_000_000}
 VARIED = 4_000_000
 NEED_TWO = ("scratch", "bed_bath")
 ALONE = "-untaught"  # what are the teachers worth?
