@@ -25,9 +25,9 @@ from assistax.training.presets import TASKS, UNTAUGHT
 
 ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
 STEPS = {"default": 10_000_000, "paper": 40_000_000}  # of PPO by preset; ours take half an hour
-# ... but of version 1, where teachers help; with preferences no fewer than VARIED.
+# ... but of version 1, where teachers help; the second with preferences.
 TAUGHT = dict.fromkeys(TASKS, 2_000_000) | {"scratch": 6_000_000, "bed_bath": 6_000_000}
-VARIED = 4_000_000
+VARIED = dict.fromkeys(TASKS, 4_000_000) | {"scratch": STEPS["default"], "bed_bath": 6_000_000}
 NEED_TWO = ("scratch", "bed_bath")
 ALONE = "-untaught"  # what are the teachers worth?
 SAC_STEPS = {"default": 3_000_000, "paper": 6_000_000}
@@ -153,7 +153,7 @@ def _trainings(
         if algorithm == "masac":
             return SAC_STEPS[preset]
         if (version, preset) == (1, "default"):
-            return max(TAUGHT[task], VARIED if people == "-preferences" else 0)
+            return (VARIED if people == "-preferences" else TAUGHT)[task]
         return STEPS[preset]
 
     for seed in range(seeds):
