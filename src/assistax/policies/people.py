@@ -158,7 +158,7 @@ class OfferFace(Offer):
 class OfferTeeth(OfferFace):
     """Holds the face level, straight ahead: the brush comes from the side."""
 
-    turns = (0.0, 0.3, -0.3)
+    turns = (0.0, -0.3)
 
 
 class OfferArm:
