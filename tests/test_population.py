@@ -173,6 +173,20 @@ def test_what_splits_part_by(population):
     assert {people[one] for one in extreme["train"]} == {1, 3, 2}  # at most half of six
 
 
+def test_people_who_were_taught_one_way_are_left_out_as_wholes(population):
+    ways = ("offers", "offers_second_way", "offers_third_way")
+    taught = [
+        (row | {"taught": ways[i % 3], "seed": i}, team) for i, (row, team) in enumerate(preferring_teams(population))
+    ]
+    made = Population.of_teams(taught)
+    of = {row["id"]: row["taught"] for row in made.rows}
+    parts = splits.split(made, "taught")
+    met = {part: {of[one] for one in ids} for part, ids in parts.items()}
+    assert met["train"] and met["test"] and not met["train"] & (met["val"] | met["test"])
+    with pytest.raises(UsageError, match="taught"):
+        splits.split(population, "taught")
+
+
 def preferring_teams(population):
     for row in population.rows:
         one = population.select([row["id"]])

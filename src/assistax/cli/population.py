@@ -146,6 +146,7 @@ def show(folder: Folder, *, out: File = None) -> None:
         portrait(found, out)
     for row in found.rows:
         who, how = row["person"], row.get("habit") or f"{row['algorithm']}, seed {row['seed']}"
+        how += f", taught {row['taught']}" if "taught" in row else ""
         cells = [row["id"][:12], who["disability"], who["preference"], how, f"{row['steps'] / 1e6:.1f} M"]
         cells += [f"{row['mean_return']:.0f}" if "mean_return" in row else ""]
         cells += [f"{row[name]:.0%}" if name in row else "" for name in ("success_rate", "safe_success_rate")]
@@ -177,7 +178,7 @@ def split(
     Args:
       folder: of the population.
       kind: random (6 : 2 : 2), extreme (the paper's: train with the five who weigh speed most), interpolate or
-        extrapolate (by how hard moving is), disability, preference or algorithm (whole groups left out of training),
+        extrapolate (by how hard moving is), disability, preference, algorithm or taught (whole groups left out),
         convention (whole groups of people whom the same robots serve well).
       crossplay: for convention, the .json of `assistax teamwork validity`.
       out: where the split goes, a .json (default: into the population).

@@ -15,7 +15,7 @@ MANY = 12  # columns, up to which cells are labelled
 
 
 def portrait(population: Population, path: Path) -> None:
-    """Safe success and return in self-play, a row for each body and a column for each preference or habit.
+    """Safe success and return in self-play, a row for each body, a column for each preference and way that was taught.
 
     A cell is the mean over the algorithms and seeds of this person; nobody is there where it is empty.
     """
@@ -23,13 +23,13 @@ def portrait(population: Population, path: Path) -> None:
     if not rows:
         raise UsageError("No member of this population says what it reaches; there is nothing to draw.")
     bodies = list(dict.fromkeys(row["person"]["disability"] for row in rows))
-    tastes = list(dict.fromkeys(row["person"]["preference"] for row in rows))
+    tastes = list(dict.fromkeys(map(_taste, rows)))
     cells: dict[str, np.ndarray] = {}
     for name in ("safe_success_rate", "mean_return"):
         cells[name] = np.full((len(bodies), len(tastes)), np.nan)
         for i, body in enumerate(bodies):
             for j, taste in enumerate(tastes):
-                mine = [r[name] for r in rows if r["person"] == {"disability": body, "preference": taste} and name in r]
+                mine = [r[name] for r in rows if (r["person"]["disability"], _taste(r)) == (body, taste) and name in r]
                 if mine:
                     cells[name][i, j] = np.mean(mine)
     with rc_context(STYLE):
@@ -45,9 +45,9 @@ def portrait(population: Population, path: Path) -> None:
                     j, i, text, ha="center", va="center", color="white" if value < middle else "black", fontsize=8
                 )
             if len(tastes) <= MANY:
-                axes.set_xticks(range(len(tastes)), [_short(taste) for taste in tastes], fontsize=7)
+                axes.set_xticks(range(len(tastes)), [_short(*taste) for taste in tastes], fontsize=7)
             else:
-                axes.set_xlabel(f"{len(tastes)} preferences")
+                axes.set_xlabel(f"{len(tastes)} preferences and ways")
             axes.set_yticks(range(len(bodies)), bodies)
             axes.set_title(titles[name])
             axes.grid(visible=False)
@@ -55,7 +55,12 @@ def portrait(population: Population, path: Path) -> None:
         figure.savefig(path, dpi=150)
 
 
-def _short(preference: str) -> str:
-    """The name of a preference that has one, else its words below each other."""
-    names = {words: name for name, words in PREFERENCES.items()}
-    return names.get(preference, preference.replace(" ", "\n"))
+def _taste(row) -> tuple[str, str]:
+    return row["person"]["preference"], row.get("taught", "")
+
+
+def _short(preference: str, taught: str) -> str:
+    """The name of a preference that has one, else its words below each other, and what was taught if anything was."""
+    named = {words: name for name, words in PREFERENCES.items()}.get(preference, preference.replace(" ", "\n"))
+    way = taught.replace("_", " ").replace(" way", "\nway")
+    return way if taught and preference == "none" else "\n".join(filter(None, (named, way)))

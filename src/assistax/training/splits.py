@@ -77,6 +77,11 @@ def by_algorithm(population: Population, rng: np.random.Generator) -> Split:
     return _groups(population, rng, lambda row: row["algorithm"], "algorithm")
 
 
+def by_teaching(population: Population, rng: np.random.Generator) -> Split:
+    """People who were taught one way of helping are left out of training, all of them."""
+    return _groups(population, rng, lambda row: row.get("taught", ""), "taught")
+
+
 KINDS: dict[str, Callable[[Population, np.random.Generator], Split]] = {
     "random": random,
     "extreme": extreme,
@@ -85,6 +90,7 @@ KINDS: dict[str, Callable[[Population, np.random.Generator], Split]] = {
     "disability": by_disability,
     "preference": by_preference,
     "algorithm": by_algorithm,
+    "taught": by_teaching,
 }
 
 
