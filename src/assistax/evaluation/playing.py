@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax import programs
+from assistax.devices import by_environment
 from assistax.env import Env
 from assistax.evaluation import turns
 from assistax.evaluation.distribution import Distribution
@@ -34,8 +35,7 @@ class Evaluator:
         self.env, self.episodes = env, episodes
         turns = -(-episodes // MOST_AT_ONCE)
         self._at_once = -(-episodes // turns)
-        self._play = programs.jit(jax.vmap(self._one, (None, 0, 0)))
-        self._drawn = programs.jit(jax.vmap(self._one, (None, 0, None)))
+        self._play = programs.jit(by_environment(self._one, whole=1))
 
     def __call__(self, team: Team, seed: int = EVALUATION_SEED, people: Any = None) -> dict[str, Any]:
         """Play.
@@ -65,8 +65,8 @@ class Evaluator:
             ids = np.arange(start, start + self._at_once)
             fresh = ids < self.episodes  # the last turn is filled up with its last episode, for one compiled program
             ids = np.minimum(ids, self.episodes - 1)
-            play, who = (self._drawn, None) if people is None else (self._play, people[ids])
-            out = jax.tree.map(np.asarray, play(team, keys[ids], who))
+            who = None if people is None else people[ids]
+            out = jax.tree.map(np.asarray, self._play(team, keys[ids], who))
             out = jax.tree.map(lambda x, fresh=fresh: x[fresh], out)
             check_faults(out.pop("fault"), self.env.engine.name)
             turn = out.pop("playing"), out.pop("series")

@@ -22,6 +22,7 @@ class Algorithm:
     config_type: Any  # frozen dataclass of its settings; their defaults serve where no preset has a row
     group: str  # its settings are GROUP.NAME in --set and config.json
     switches: Mapping[str, Any] = field(default_factory=dict)  # settings that make it this algorithm, not to be changed
+    shares: bool = False  # whether several devices can share its environments, see assistax.devices
 
 
 ALGORITHMS: Registry[Algorithm] = Registry("algorithm", lambda algorithm: algorithm.name, "assistax.algorithms")
@@ -33,6 +34,6 @@ def register_algorithm(algorithm: Algorithm) -> Algorithm:
 
 
 for _name, _central in (("ippo", False), ("mappo", True)):
-    register_algorithm(Algorithm(_name, PPO, PPOConfig, "ppo", {"central_critic": _central}))
+    register_algorithm(Algorithm(_name, PPO, PPOConfig, "ppo", {"central_critic": _central}, shares=True))
 for _name, _joint in (("masac", True), ("isac", False)):
     register_algorithm(Algorithm(_name, SAC, SACConfig, "sac", {"joint_critics": _joint}))

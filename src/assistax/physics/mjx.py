@@ -93,7 +93,8 @@ class WarpEngine(_MjxBase):
         return jax.vmap(lambda s, c: self._run(data, s, c, self.substeps))(state, ctrl)
 
     def _data(self, num_envs: int) -> mjx.Data:
-        with jax.ensure_compile_time_eval():
+        nowhere = jax.sharding.AbstractMesh((), ())  # else it would belong to the devices that share a batch
+        with jax.ensure_compile_time_eval(), jax.sharding.use_abstract_mesh(nowhere):
             return mjx.make_data(self.model, impl="warp", naconmax=num_envs * self._contacts, njmax=self._constraints)
 
     def _read(self, d):

@@ -33,6 +33,7 @@ class TrainConfig:
     num_envs: int = 256  # per seed
     seed: int = 0
     num_seeds: int = 1
+    devices: int = 1  # accelerators of this machine that share the environments
     partners: tuple[str, ...] = ()  # "human=still": frozen partners, see partners.py
     partner_copies: tuple[str, ...] = ()  # "human=SHA-256": trained partners that the run folder holds a copy of
     evaluations: int = 10  # how many, evenly over the training; there is always one at its end
@@ -50,9 +51,11 @@ class TrainConfig:
         for name, value in algorithm.switches.items():
             if getattr(self.method, name) != value:
                 raise UsageError(f"{self.group}.{name} is {value} for {self.algorithm}; change --algorithm, not it.")
+        if self.devices > 1 and not algorithm.shares:
+            raise UsageError(f"devices = {self.devices}, and {self.algorithm} trains on one; leave it out.")
         if self.steps < 1:
             raise UsageError(f"steps must be 1 or more, not {self.steps}.")
-        for name in ("num_envs", "num_seeds", "evaluations", "evaluation_episodes"):
+        for name in ("num_envs", "num_seeds", "devices", "evaluations", "evaluation_episodes"):
             check_count(name, getattr(self, name))
         check_count(f"num_envs x {self.group}.num_steps", self.num_envs * self.method.num_steps)
         for seed in (self.seed, self.seeds[-1]):

@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from assistax.devices import check_devices, sharing
 from assistax.errors import UsageError
 from assistax.evaluation.film import film
 from assistax.evaluation.playing import Evaluator, by_episode, summarize
@@ -38,6 +39,7 @@ _FREE = {
     "deterministic",
     "snapshots",
     "engine",
+    "devices",
     "env.num_threads",
     "partners",
 }
@@ -59,7 +61,8 @@ def train(
     check_loggers(log)
     if not (run.folder / "checkpoints").is_dir():
         raise UsageError(f"{run.folder} is a result without checkpoints, which cannot continue; train anew with --out.")
-    with locked(run.folder):
+    check_devices(run.config.devices, run.config.num_envs)
+    with locked(run.folder), sharing(run.config.devices):
         return _Training(run, Stop(seconds), log, bar, pictures).go()
 
 

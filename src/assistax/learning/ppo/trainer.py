@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import optax
 
+from assistax.devices import by_environment, part_of_batch
 from assistax.errors import UsageError
 from assistax.learning.actors import Actor
 from assistax.learning.gae import gae, horizon
@@ -102,23 +103,26 @@ class PPO:
         normalizer = {view: init_stats(size) for view, size in self.networks.sizes.items()}
         # In step, all environments would be at the same moment of the task in every batch.
         elapsed = jnp.arange(self.num_envs) * env.episode_length // self.num_envs * c.stagger
-        obs, env_state = jax.vmap(env.reset)(jax.random.split(reset_key, self.num_envs), elapsed)
+        obs, env_state = by_environment(env.reset)(jax.random.split(reset_key, self.num_envs), elapsed)
         blank = jnp.zeros((self.num_envs, self.networks.units)) if self.config.remembers else ()
+        here = {
+            "env_state": env_state,
+            "obs": obs,
+            "reset": jnp.ones(self.num_envs, bool),
+            "memory": dict.fromkeys(self.learners, blank),
+            "partner_state": self.partners.init(partner_key),
+            "teacher": self.teacher.init(),
+            "constraint": init_constraint(self.num_envs) if self.config.constrained else (),
+        }
         return TrainState(
             params=params,
             opt_state=self._adam.init(params),
             rate_scale={name: jnp.ones(()) for name in params},
             normalizer=normalizer,
-            env_state=env_state,
-            obs=obs,
-            reset=jnp.ones(self.num_envs, bool),
-            memory=dict.fromkeys(self.learners, blank),
-            partner_state=self.partners.init(partner_key),
             key=key,
             iteration=jnp.int32(0),
-            constraint=init_constraint(self.num_envs) if self.config.constrained else (),
-            teacher=self.teacher.init(),
             tuned=tuned,
+            **part_of_batch(here),
         )
 
     # -- acting --------------------------------------------------------------------------------
@@ -170,7 +174,7 @@ class PPO:
                 memory[agent], noise[agent] = carry
             global_obs_before = global_obs(env_state)
             step_keys = jax.random.split(step_key, self.num_envs)
-            next_obs, env_state, rewards, terminated, truncated, info = jax.vmap(env.step)(
+            next_obs, env_state, rewards, terminated, truncated, info = by_environment(env.step)(
                 step_keys, env_state, actions
             )
             done = terminated["__all__"] | truncated["__all__"]
@@ -213,7 +217,7 @@ class PPO:
             batch["episode_cost"] = jnp.sum(batch["episode_cost"] * whole) / whole.sum()  # NaN if none ended
             after["constraint"] = replace(state.constraint, so_far=so_far)
         batch |= {"memory": state.memory, "log": iteration_log(log)}
-        return replace(state, **after, key=key), batch
+        return replace(state, **part_of_batch(after), key=key), batch
 
     def _teaching(self, c, iteration):
         """The weight of the teacher's term in an iteration."""
@@ -300,7 +304,8 @@ class PPO:
                 self._correlated(state) and not self.config.remembers
             ):  # the step before in the same environment, if there is one
                 part["before"] = jax.tree.map(lambda x: x[jnp.maximum(ids - self.num_envs, 0)], samples)
-            part_start = jax.tree.map(lambda x: x[ids], batch["memory"])
+            part = part_of_batch(part, axis=1 if self.config.remembers else 0)
+            part_start = part_of_batch(jax.tree.map(lambda x: x[ids], batch["memory"]))
             grads, stats = jax.grad(partial(self._loss, c, teaching=teaching), has_aux=True)(params, part, part_start)
             rate = c.learning_rate
             if c.anneal_learning_rate:
