@@ -12,6 +12,7 @@ import pytest
 from commands import assistax as assistax_command
 
 import assistax
+from assistax.adapters.partner import find_player
 from assistax.errors import UsageError
 from assistax.evaluation import play
 from assistax.evaluation.playing import Evaluator, summarize
@@ -261,6 +262,25 @@ def test_person_and_member_are_one_draw(population):
     obs, state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 8))
     actions, _ = seats.act(seats.init(jax.random.key(1)), state, obs, jnp.ones(8, bool), jax.random.key(2))
     np.testing.assert_allclose(actions["human"][:, 0], told[state.person.index])
+
+
+def test_a_member_for_each_person_or_one_line(population, scratch):
+    """Beside another number of people some members would never play; every way to play with them says so."""
+    people = {"people": population.people[:2]}
+    env = assistax.make("scratch-v0", engine="mujoco", episode_length=3, human=people)
+    still = Player(scripted_policy("still", scratch, "robot"))
+    mixed = Population.merge([population, Population.scripted(scratch.name, Person(), ("shy",))])
+    for one, number in ((population, 6), (mixed, 7)):
+        player = one.partner("human", env=env)
+        for play_with in (
+            lambda player: Partners(env, 4, {"human": player}),
+            lambda player: play(env, {"robot": still, "human": player}, 2),
+            lambda player: find_player(player, env, "human"),
+        ):
+            with pytest.raises(UsageError, match=f"whose {number} members are each somebody .* where these are 2"):
+                play_with(player)
+    find_player(population.partner("human", by_person=False), env, "human")
+    find_player(population.select(population.ids[:2]).partner("human"), env, "human")
 
 
 def test_bad_folders_are_one_line(tmp_path, population):

@@ -26,7 +26,7 @@ def find_player(who: Who, env: Env, agent: str) -> Player:
     choose("agent", agent, env.agents)
     if not isinstance(who, Player):
         return find_partner(str(who), env, agent).player
-    who.check()
+    who.check(env)
     obs, state = jax.eval_shape(env.reset, jax.random.key(0))
     first, key = jax.ShapeDtypeStruct((), bool), jax.random.key(0)
     try:

@@ -54,7 +54,7 @@ class Evaluator:
         """
         check_seed("seed", seed)
         for player in team.values():
-            player.check()
+            player.check(self.env)
         keys = jax.random.split(jax.random.key(seed), self.episodes)
         if people is not None:
             people = np.asarray(people, np.int32)

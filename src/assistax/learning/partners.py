@@ -27,7 +27,7 @@ class Partners:
         self._env, self.num_envs, self.players = env, num_envs, dict(players or {})
         for agent, player in self.players.items():
             choose("agent", agent, env.agents)
-            player.check()
+            player.check(env)
         self.learners = tuple(agent for agent in env.agents if agent not in self.players)
         if not self.learners:
             raise UsageError(f"Partners play all agents ({', '.join(self.players)}); leave one to learn.")

@@ -61,8 +61,17 @@ class Player:
         """Whether the policy is given the EnvState instead of an observation."""
         return getattr(self.policy, "privileged", False)
 
-    def check(self) -> None:
-        """Raise UsageError unless all parameters are stacked by member."""
+    def check(self, env: Any = None) -> None:
+        """Raise UsageError unless parameters are stacked by member and, `by_person`, `env` has a person for each."""
+        people = len(env.config.human.listed) if self.by_person and env is not None else self.members
+        if people != self.members:
+            raise UsageError(
+                f"A player whose {self.members} members are each somebody of env.human.people cannot play where these "
+                f"are {people}: give the environment their people (Population.people), or use by_person=False."
+            )
+        self._check_params()
+
+    def _check_params(self) -> None:
         for leaf in jax.tree.leaves(self.params):
             if jnp.shape(leaf)[:1] != (self.members,):
                 raise UsageError(
@@ -125,9 +134,9 @@ class Mixed(Player):
             for policy, params in zip(self.policy.policies, self.params[2], strict=True)
         ]
 
-    def check(self) -> None:
+    def _check_params(self) -> None:
         for player in self._players:
-            player.check()
+            player._check_params()
 
     def member(self, index: jax.Array | int) -> Any:
         """Its kind, and of every kind the parameters of somebody: of its own kind, its own."""

@@ -59,7 +59,7 @@ def find_partners(
                     f"The {agent} of {folder} is a player that Python code has made; open it there, with "
                     f'Run.open(folder, players={{"{agent}": player}}).'
                 )
-            players[agent].check()
+            players[agent].check(env)
             partners[agent] = Partner(players[agent])
         elif agent in copies:
             partners[agent] = _of_copy(folder, copies[agent], env, agent)

@@ -36,7 +36,7 @@ class Live:
 
     def __init__(self, env: Env, team: Team, seed: int):
         for player in team.values():
-            player.check()
+            player.check(env)
         self.env, self.team, self.seed = env, team, seed
         self.spots = turns.spots(env)
         self._begin, self._advance = jax.jit(self._first), jax.jit(self._some)
