@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import shutil
 from types import SimpleNamespace
 
@@ -94,37 +95,108 @@ def test_an_id_changes_with_any_bit_and_with_who_it_is(teams):
     assert len(ids) == 3
 
 
-def test_damage_is_named_or_does_no_harm(folder, population):
-    """Flipped bytes, cut files and swapped rows: identical members, or one clear line."""
-    rng, found = np.random.default_rng(0), 0
-    for case in range(60):
-        path = sorted(folder.iterdir())[case % 2]
+def test_damage_is_named_or_does_no_harm(folder, population, teams):
+    """Flipped bytes, cut files, edited rows, renamed and foreign weights: identical members, or one clear line."""
+    split = splits.path_of(folder, "random")
+    splits.save(split, splits.split(population, "random"))
+    rng, outcomes = np.random.default_rng(0), []
+    Population.of_teams(teams[1:]).save(folder.parent / "foreign")  # the same architecture
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    assert len(files) == 4
+    for case in range(200):
+        path = files[case % 4]
         whole = path.read_bytes()
-        if case % 3:
-            at = int(rng.integers(len(whole)))
-            path.write_bytes(whole[:at] + bytes([whole[at] ^ (1 << int(rng.integers(8)))]) + whole[at + 1 :])
-        else:
-            path.write_bytes(whole[: int(rng.integers(len(whole)))])
+        damage = DAMAGE[case // 4 % len(DAMAGE)]
+        damage(path, whole, rng)
         try:
             loaded = Population.load(folder)
+            splits.load(split, loaded)  # of anybody in the population
         except UsageError as error:
-            found += 1
+            outcomes.append(damage)
             assert "\n" not in str(error)
         else:
-            assert set(loaded.ids) <= set(population.ids)
+            assert loaded.rows == population.rows
             for row in loaded.rows:
-                one = next(r for r in population.rows if r["id"] == row["id"])
-                assert row["person"] == one["person"]
-                jax.tree.map(np.testing.assert_array_equal, loaded.member(row), population.member(one))
+                jax.tree.map(np.testing.assert_array_equal, loaded.member(row), population.member(row))
         path.write_bytes(whole)
-    assert found > 30
+        path.with_suffix(".away").unlink(missing_ok=True)
+    assert len(outcomes) > 150 and set(outcomes) == set(DAMAGE)
+    Population.load(folder)
+
+
+def flipped(path, whole, rng):
+    at = int(rng.integers(len(whole)))
+    path.write_bytes(whole[:at] + bytes([whole[at] ^ (1 << int(rng.integers(8)))]) + whole[at + 1 :])
+
+
+def cut(path, whole, rng):
+    path.write_bytes(whole[: int(rng.integers(len(whole)))])
+
+
+def edited(path, whole, rng):
+    """A number or a word becomes another one of the same length."""
+    if path.suffix == ".safetensors":
+        return flipped(path, whole, rng)
+    places = [match.start() for match in re.finditer(rb"\d", whole)]
+    at = int(rng.choice(places))
+    path.write_bytes(whole[:at] + b"%d" % ((int(whole[at : at + 1]) + 1) % 10) + whole[at + 1 :])
+
+
+def without_a_line(path, whole, rng):
+    if path.suffix == ".safetensors":
+        return cut(path, whole, rng)
+    lines = whole.splitlines(keepends=True)
+    del lines[int(rng.integers(len(lines)))]
+    path.write_bytes(b"".join(lines))
+
+
+def renamed(path, whole, rng):
+    path.rename(path.with_suffix(".away"))
+
+
+def foreign(path, whole, rng):
+    there = path.parents[1] / "foreign" / path.name
+    if there.exists():
+        path.write_bytes(there.read_bytes())
+
+
+DAMAGE = flipped, cut, edited, without_a_line, renamed, foreign
+
+
+def edit(folder, change):
+    """Change the manifest's rows."""
+    rows = [json.loads(line) for line in (folder / "manifest.jsonl").read_text().splitlines()]
+    change(rows)
+    (folder / "manifest.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+
+@pytest.mark.parametrize(
+    "change",
+    (
+        lambda rows: rows[2].update(success_rate=0.9),
+        lambda rows: rows[2].update(algorithm="masac"),
+        lambda rows: rows[2].update(robot=False),
+        lambda rows: rows[2].update(fraction=0.333),
+        lambda rows: rows[2].pop("mean_return"),
+        lambda rows: rows.pop(),
+    ),
+)
+def test_a_manifest_is_not_edited_unnoticed_and_in_old_populations_it_is_said(folder, population, change):
+    edit(folder, change)
+    with pytest.raises(UsageError, match=r"manifest\.jsonl is not what was saved, as population\.json tells"):
+        Population.load(folder)
+    (folder / "population.json").unlink()
+    assert set(Population.load(folder).ids) <= set(population.ids)
+    assert "is not checked" in assistax_command("population", "verify", folder).stdout
 
 
 def test_members_that_are_swapped_are_found_out(folder):
-    rows = [json.loads(line) for line in (folder / "manifest.jsonl").read_text().splitlines()]
-    rows[0]["row"], rows[1]["row"] = rows[1]["row"], rows[0]["row"]
-    (folder / "manifest.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
-    with pytest.raises(UsageError, match="is not what was saved"):
+    def swap(rows):
+        rows[0]["row"], rows[1]["row"] = rows[1]["row"], rows[0]["row"]
+
+    edit(folder, swap)
+    (folder / "population.json").unlink()  # as in populations of earlier versions
+    with pytest.raises(UsageError, match=r"member .* is not what was saved"):
         Population.load(folder)
 
 
@@ -324,7 +396,7 @@ def test_the_command_gathers_finished_runs(tmp_path, monkeypatch):
     listed = assistax_command("population", "show", pop, "--out", tmp_path / "who.png").stdout
     assert (tmp_path / "who.png").stat().st_size > 5000
     assert listed.count("tremor") == 2 and "seed 1" in listed and "safely" in listed.splitlines()[0]
-    assert "2 members of scratch-v1, all as they were saved" in assistax_command("population", "verify", pop).stdout
+    assert assistax_command("population", "verify", pop).stdout == "2 members of scratch-v1, all as they were saved\n"
     own, stored = run.teams()[1]["human"], Population.load(pop).partner("human", deterministic=True)
     obs = jax.random.normal(jax.random.key(9), (run.env.observation_sizes["human"],))
     args = own.policy.initial_carry(), obs, jnp.bool_(True), jax.random.key(0)

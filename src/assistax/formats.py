@@ -64,6 +64,7 @@ MEMBER: Schema = {  # a row of a population's manifest.jsonl
     "success_rate?": float,
     "safe_success_rate?": float,
 }
+SEAL: Schema = {"members": COUNT, "sha256": str}  # of a population's manifest: its population.json
 PLAN: Schema = {  # of a population, see teamwork/plan.py
     "task": str,
     "people": [_PERSON],

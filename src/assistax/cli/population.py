@@ -160,10 +160,12 @@ def verify(folder: Folder) -> None:
     Args:
       folder: of the population.
     """
-    from assistax.training.population import Population
+    from assistax.training.population import ABOUT, Population, is_sealed
 
     found = Population.load(folder)
     print(f"{len(found)} members of {found.task}, all as they were saved")
+    if not is_sealed(folder):
+        print(f"What the manifest says they reach is not checked, nor whether somebody is gone: there is no {ABOUT}.")
 
 
 def split(

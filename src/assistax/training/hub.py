@@ -15,9 +15,10 @@ from typing import Any
 
 from assistax.errors import UsageError
 from assistax.files import writing
-from assistax.training.population import MANIFEST, Population
+from assistax.training.population import ABOUT, MANIFEST, Population
 
-SHARED = (MANIFEST, "weights-*.safetensors", "splits/*.json")  # of a population's folder; runs and plans stay at home
+# Of a population's folder; runs and plans stay at home.
+SHARED = (MANIFEST, ABOUT, "weights-*.safetensors", "splits/*.json")
 CARD = "README.md"
 
 

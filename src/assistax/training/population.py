@@ -2,6 +2,7 @@
 
 manifest.jsonl                   one row a member, see formats.MEMBER: who they are, how they were trained, what they
                                  reach with the robot that was trained with them
+population.json                  how many rows that are, and their hash in whatever order; older populations have none
 weights-ARCHITECTURE.safetensors the weights of all members of one architecture, stacked, by agent; actors in half
                                  precision, normalisers in single
 
@@ -23,8 +24,8 @@ import numpy as np
 
 from assistax.env import Env
 from assistax.errors import UsageError, choose
-from assistax.files import read_rows, write_atomically
-from assistax.formats import MEMBER
+from assistax.files import read_json, read_rows, write_atomically, write_json
+from assistax.formats import MEMBER, SEAL
 from assistax.human import Person
 from assistax.learning.actors import Actor, SquashedActor
 from assistax.learning.normalizer import RunningStats
@@ -35,6 +36,7 @@ from assistax.training.checkpoint import EVERYTHING, load_checkpoint, read_metad
 POLICIES = {"ppo": Actor, "sac": SquashedActor}
 SCRIPTED = "scripted"  # the architecture of people with habits, who have no weights
 MANIFEST = "manifest.jsonl"
+ABOUT = "population.json"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,6 +83,10 @@ class Population:
             raise UsageError(f"{folder} is not a population: it has no {MANIFEST}.")
         rows = read_rows(folder / MANIFEST, MEMBER)
         _check_rows(rows, folder / MANIFEST)
+        if is_sealed(folder) and read_json(folder / ABOUT, SEAL) != _seal(rows):
+            raise UsageError(
+                f"{folder / MANIFEST} is not what was saved, as {ABOUT} tells: a row was changed, lost or added."
+            )
         policies, weights = {}, {}
         for name in dict.fromkeys(row["architecture"] for row in rows):
             if name == SCRIPTED:
@@ -153,7 +159,8 @@ class Population:
         """Write the population into a folder of its own, the manifest last; `beside` may be there already."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        ours = {*beside, *(f"weights-{name}.safetensors" for name in self.weights if beside)}
+        written = (ABOUT, *(f"weights-{name}.safetensors" for name in self.weights))
+        ours = {*beside, *written} if beside else set()
         if any(path.name not in ours for path in folder.iterdir()):
             raise UsageError(f"{folder} is not empty; a population is written into a folder of its own.")
         for name, weights in self.weights.items():
@@ -161,6 +168,7 @@ class Population:
             like = {k: [list(x.shape), str(x.dtype)] for k, x in _flat(weights).items()}
             about = {"population": {"kind": kind, "policy": policy, "like": like}}
             save_checkpoint(folder / f"weights-{name}.safetensors", _flat(weights), about)
+        write_json(folder / ABOUT, _seal(self.rows))
         lines = "".join(json.dumps(row) + "\n" for row in self.rows)
         write_atomically(folder / MANIFEST, lines.encode())
 
@@ -236,6 +244,11 @@ def is_population(name: str | Path) -> bool:
     return any((Path(part) / MANIFEST).is_file() for part in (str(name), str(name).rpartition(":")[0] or "."))
 
 
+def is_sealed(folder: Path) -> bool:
+    """Whether a population's folder tells what its manifest was; older ones do not."""
+    return (folder / ABOUT).exists()
+
+
 # -- parts -------------------------------------------------------------------------------------
 
 
@@ -246,6 +259,12 @@ def _check_rows(rows: list[dict[str, Any]], path: Path | str, twice: bool = Fals
         raise UsageError(f"{path} has a member twice.")
     if len({row["task"] for row in rows}) > 1:
         raise UsageError(f"{path} mixes tasks: {', '.join(sorted({row['task'] for row in rows}))}.")
+
+
+def _seal(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """What population.json says of these rows, whatever their order."""
+    lines = sorted(json.dumps(row, sort_keys=True) for row in rows)
+    return {"members": len(rows), "sha256": hashlib.sha256("\n".join(lines).encode()).hexdigest()}
 
 
 def _rounded(params: Any) -> Any:
