@@ -336,6 +336,22 @@ def test_person_and_member_are_one_draw(population):
     np.testing.assert_allclose(actions["human"][:, 0], told[state.person.index])
 
 
+def test_where_nothing_can_be_written_a_line_says_so(folder, tmp_path, capsys):
+    (file := tmp_path / "file").write_text("")
+    for words, said in (
+        (("merge", file, folder), f"Cannot write {file}: File exists"),
+        (("merge", file / "pop", folder), f"Cannot write {file}/pop: Not a directory"),
+        (("split", folder, "--kind", "disability", "--out", file / "split.json"), f"Cannot write {file}/split.json:"),
+        (("split", folder, "--kind", "disability", "--out", tmp_path), f"Cannot write {tmp_path}: Is a directory"),
+        (("show", folder, "--out", tmp_path / "nowhere/who.png"), f"The folder {tmp_path}/nowhere of --out does not"),
+        (("show", folder, "--out", tmp_path / "who.gif"), "Can write .png"),
+    ):
+        with pytest.raises(SystemExit):
+            assistax_command("population", *words)
+        error = capsys.readouterr().err
+        assert said in error and error.count("\n") == 1, words
+
+
 def test_a_member_for_each_person_or_one_line(population, scratch):
     """Beside another number of people some members would never play; every way to play with them says so."""
     people = {"people": population.people[:2]}

@@ -133,14 +133,15 @@ def show(folder: Folder, *, out: File = None) -> None:
 
     Args:
       folder: of the population.
-      out: a .png of who there is and what they reach.
+      out: a .png, .svg or .pdf of who there is and what they reach.
     """
     from assistax.cli.common import aligned
+    from assistax.results.figures import check_format
     from assistax.teamwork.portrait import portrait
     from assistax.training.population import Population
 
-    if out is not None and out.suffix != ".png":
-        raise UsageError(f"--out must be a .png file, not {out}.")
+    if out is not None:
+        check_format(out)
     found, rows = Population.load(folder), []
     if out is not None:
         portrait(found, out)

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from assistax.errors import UsageError
 from assistax.human.variety import PREFERENCES
-from assistax.results.figures import STYLE
+from assistax.results.figures import STYLE, save
 from assistax.training.population import Population
 
 MANY = 12  # columns, up to which cells are labelled
@@ -52,7 +52,7 @@ def portrait(population: Population, path: Path) -> None:
             axes.set_title(titles[name])
             axes.grid(visible=False)
         figure.suptitle(f"{population.task}: {len(rows)} members with their own robots", fontsize=10)
-        figure.savefig(path, dpi=150)
+        save(figure, path, dpi=150)
 
 
 def _taste(row) -> tuple[str, str]:

@@ -74,8 +74,7 @@ def keep_partners(partners: Mapping[str, Partner], folder: Path) -> tuple[str, .
     for agent, partner in partners.items():
         if partner.population is not None:
             place = _path(folder, agent).with_suffix("")
-            with writing(place):
-                partner.population.save(place)
+            partner.population.save(place)
             copies.append(f"{agent}={partner.population.hash}")
         if partner.trained is not None:
             path, player = _path(folder, agent), partner.player

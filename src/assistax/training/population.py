@@ -24,7 +24,7 @@ import numpy as np
 
 from assistax.env import Env
 from assistax.errors import UsageError, choose
-from assistax.files import read_json, read_rows, write_atomically, write_json
+from assistax.files import read_json, read_rows, write_atomically, write_json, writing
 from assistax.formats import MEMBER, SEAL
 from assistax.human import Person
 from assistax.learning.actors import Actor, SquashedActor
@@ -158,10 +158,12 @@ class Population:
     def save(self, folder: Path | str, beside: Sequence[str] = ()) -> None:
         """Write the population into a folder of its own, the manifest last; `beside` may be there already."""
         folder = Path(folder)
-        folder.mkdir(parents=True, exist_ok=True)
         written = (ABOUT, *(f"weights-{name}.safetensors" for name in self.weights))
         ours = {*beside, *written} if beside else set()
-        if any(path.name not in ours for path in folder.iterdir()):
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            there = {path.name for path in folder.iterdir()}
+        if there - ours:
             raise UsageError(f"{folder} is not empty; a population is written into a folder of its own.")
         for name, weights in self.weights.items():
             kind, policy = _describe(self.policies[name])

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from assistax.errors import UsageError, choose
-from assistax.files import read_json, write_json
+from assistax.files import read_json, write_json, writing
 from assistax.formats import SPLIT
 from assistax.human import disability, preference
 from assistax.training.population import Population
@@ -149,7 +149,8 @@ def path_of(folder: Path, kind: str) -> Path:
 
 def save(path: Path, parts: Split) -> None:
     """Write a split as JSON."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
     write_json(path, parts)
 
 
