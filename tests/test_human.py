@@ -15,8 +15,9 @@ from conftest import random_actions
 import assistax
 from assistax import cli
 from assistax.env import EnvConfig
+from assistax.errors import UsageError
 from assistax.evaluation.playing import evaluate
-from assistax.human import DISABILITIES, HumanConfig, Person, disability, population, preference
+from assistax.human import DISABILITIES, HumanConfig, Person, disability, population, preference, variety
 from assistax.human.profile import stack, unstack
 from assistax.human.wandering import wander
 from assistax.policies import scripted_team
@@ -438,3 +439,19 @@ def test_a_person_stays_for_as_many_episodes_as_asked_for():
         assert np.ptp(body[who == person]) < 1e-3 and (body[who != person] != body[who == person][0]).all()
     with pytest.raises(assistax.UsageError, match=r"redraw_every must be 1 or more"):
         assistax.make("scratch", human={"redraw_every": 0})
+
+
+def test_people_by_how_many_bodies_and_preferences():
+    bodies = ["none", *DISABILITIES]
+    assert [one.disability for one in variety.people("8")] == bodies
+    assert variety.people("7") == tuple(map(Person, DISABILITIES))
+    healthy = [Person("none", one) for one in variety.PREFERENCES.values()]
+    assert variety.people("8x3")[:4] == (*healthy, Person("tremor", "default")) and len(variety.people("8x3")) == 24
+    drawn = population.people("paper630")
+    four = variety.people("7x4")
+    assert len(four) == len(set(four)) == 28 and [one.disability for one in four[::4]] == list(DISABILITIES)
+    assert {one.preference for one in four[3::4]} == {drawn[0].preference}
+    assert variety.people("paper630") == drawn and len(set(variety.people("8x93"))) == 8 * 93
+    for name, said in (("8x94", "1 to 93 preferences"), ("7x0", "1 to 93"), ("9x3", "Known: 8x3, 8, 7x4, paper630")):
+        with pytest.raises(UsageError, match=said):
+            variety.people(name)

@@ -41,8 +41,8 @@ def train(
     Args:
       task: what to do together.
       out: folder of the population.
-      people: who: 8x3 (healthy and the seven standard disabilities, by three preferences), 8 (without preferences),
-        paper630, or a JSON file as for env.human.people.
+      people: who: 8x3 (healthy and the seven standard disabilities, by three preferences), 7x4 (without the healthy, by
+        one preference more), 8 or 7 (without preferences), paper630, or a JSON file as for env.human.people.
       algorithm: one, or several with commas: ippo,mappo,masac.
       steps: of each training (default 5 million).
       seeds: of each person and algorithm (default 1).
