@@ -21,6 +21,7 @@ from assistax.human import Person
 from assistax.learning.partners import Partners
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.policies import Player, scripted_policy
+from assistax.policies.habits import HABITS
 from assistax.teamwork import gather as gathering
 from assistax.teamwork.gather import gather
 from assistax.teamwork.plan import Plan
@@ -334,6 +335,35 @@ def test_person_and_member_are_one_draw(population):
     obs, state = jax.vmap(env.reset)(jax.random.split(jax.random.key(0), 8))
     actions, _ = seats.act(seats.init(jax.random.key(1)), state, obs, jnp.ones(8, bool), jax.random.key(2))
     np.testing.assert_allclose(actions["human"][:, 0], told[state.person.index])
+
+
+def test_some_are_drawn_and_populations_are_listed(folder, population, tmp_path, capsys):
+    some, mixed = population.sample(3, seed=1), population.select(population.ids[::-1])
+    assert len(set(some.ids)) == 3 and some.ids == mixed.sample(3, seed=1).ids
+    drawn = [one for seed in range(200) for one in population.sample(3, seed=seed).ids]
+    assert all(70 < drawn.count(one) < 130 for one in population.ids)
+    splits.save(splits.path_of(folder, "random"), parts := splits.split(population, "random"))
+    out = tmp_path / "some"
+    assistax_command("population", "sample", f"{folder}:random/train", "--number", 2, "--out", out, "--habits")
+    found = Population.load(out)
+    assert len([one for one in found.ids if one in parts["train"]]) == 2 and len(found) == 2 + len(HABITS)
+    assert Population.scripted(found.task, found.people[0]).ids == found.ids[2:]
+    head, *rows = assistax_command("population", "list", tmp_path).stdout.splitlines()
+    assert head.split() == ["population", "task", "members", "people", "size"]
+    assert [row.split()[:4] for row in rows] == [
+        [str(folder), "scratch-v0", "6", "6"],
+        [str(out), "scratch-v0", "20", "2"],
+    ]
+    assert assistax_command("population", "list", out).stdout.count("scratch-v0") == 1
+    for words, said in (
+        (("sample", folder, "--number", 7, "--out", tmp_path / "new"), "From 6 members 1 to 6 can be drawn, not 7."),
+        (("sample", folder, "--number", 1, "--out", tmp_path / "new", "--seed=-1"), "seed must be from 0"),
+        (("split", folder, "--seed=-1"), "seed must be from 0"),
+        (("list", folder / "splits"), f"There is no population in {folder}/splits"),
+    ):
+        with pytest.raises(SystemExit):
+            assistax_command("population", *words)
+        assert said in capsys.readouterr().err
 
 
 def test_where_nothing_can_be_written_a_line_says_so(folder, tmp_path, capsys):

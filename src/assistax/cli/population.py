@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from assistax.cli.common import ExecutorSet, File, Name, Number, Set, Switch, find_executor
+from assistax.cli.common import Count, ExecutorSet, File, Name, Number, Set, Switch, find_executor
 from assistax.errors import UsageError
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POP")]
@@ -100,16 +100,11 @@ def make(folder: Folder, runs: Others, *, habits: Switch = False) -> None:
       habits: add the scripted people, see docs/populations.md, with the first run's person's body and preferences.
     """
     from assistax.teamwork.gather import gather
-    from assistax.training.population import Population
     from assistax.training.run import Run
 
     if not runs:
         raise UsageError("Name the runs whose teams are to be members, after the population's folder.")
-    made = gather(Run.open(run) for run in runs)
-    if habits:
-        made = Population.merge([made, Population.scripted(made.task, made.people[0])])
-    made.save(folder)
-    print(f"{len(made)} members of {made.task} in {folder}")
+    _save(gather(Run.open(run) for run in runs), folder, habits)
 
 
 def merge(folder: Folder, populations: Others) -> None:
@@ -123,9 +118,52 @@ def merge(folder: Folder, populations: Others) -> None:
 
     if not populations:
         raise UsageError("Name the populations to merge, after the folder of the new one.")
-    made = Population.merge([Population.load(one) for one in populations])
-    made.save(folder)
-    print(f"{len(made)} members of {made.task} in {folder}")
+    _save(Population.merge([Population.load(one) for one in populations]), folder)
+
+
+def sample(
+    population: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="POP")],
+    *,
+    number: Count,
+    out: Path,
+    seed: Number = None,
+    habits: Switch = False,
+) -> None:
+    """Draw some members of a population, or of a part of it, into a population of their own.
+
+    For example:
+      assistax population sample populations/feeding --number 8 --out populations/eight
+      assistax population sample populations/feeding:random/train --number 4 --out populations/four --habits
+
+    Args:
+      population: a folder, or a part of it by a split, as wherever a partner is named.
+      number: how many members.
+      out: folder of the new population.
+      seed: of the draw (default 0).
+      habits: add the scripted people, see docs/populations.md, with the first member's body and preferences.
+    """
+    from assistax.training import splits
+
+    _save(splits.named(population)[1].sample(number, seed or 0), out, habits)
+
+
+def list_(folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")] = Path("populations")) -> None:
+    """List populations: their tasks, members and sizes.
+
+    Args:
+      folder: a population, or a folder with populations in it.
+    """
+    from assistax.cli.common import aligned
+    from assistax.training.population import MANIFEST, Population
+
+    cells = []
+    for place in sorted(path.parent for path in (folder / MANIFEST, *folder.glob(f"*/{MANIFEST}")) if path.is_file()):
+        found = Population.load(place)
+        size = sum(path.stat().st_size for kind in (MANIFEST, "weights-*") for path in place.glob(kind))
+        cells.append([str(place), found.task, str(len(found)), str(len(set(found.people))), f"{size / 1e6:.1f} MB"])
+    if not cells:
+        raise UsageError(f"There is no population in {folder}; `assistax population train` makes one.")
+    print(aligned(["population", "task", "members", "people", "size"], cells))
 
 
 def show(folder: Folder, *, out: File = None) -> None:
@@ -233,6 +271,16 @@ def pull(name: Annotated[str, tyro.conf.Positional], *, out: File = None, revisi
     print(f"{len(found)} members of {found.task} in {folder}")
 
 
+def _save(made, folder: Path, habits: bool = False) -> None:
+    """Write a new population, with people with habits if they are wanted, and say who is in it."""
+    from assistax.training.population import Population
+
+    if habits:
+        made = Population.merge([made, Population.scripted(made.task, made.people[0])])
+    made.save(folder)
+    print(f"{len(made)} members of {made.task} in {folder}")
+
+
 def _shard(text: str | None) -> tuple[int, int]:
     first, _, number = (text or "1/1").partition("/")
     if not (first.isdigit() and number.isdigit() and 1 <= int(first) <= int(number)):
@@ -244,6 +292,8 @@ COMMANDS = {
     "train": train,
     "make": make,
     "merge": merge,
+    "sample": sample,
+    "list": list_,
     "show": show,
     "verify": verify,
     "split": split,

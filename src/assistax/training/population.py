@@ -31,6 +31,7 @@ from assistax.learning.actors import Actor, SquashedActor
 from assistax.learning.normalizer import RunningStats
 from assistax.policies import Mixed, Player, habits
 from assistax.policies.habits import HABITS
+from assistax.settings import check_seed
 from assistax.training.checkpoint import EVERYTHING, load_checkpoint, read_metadata, save_checkpoint
 
 POLICIES = {"ppo": Actor, "sac": SquashedActor}
@@ -197,6 +198,13 @@ class Population:
             for name, take in order.items()
         }
         return Population(tuple(rows), {name: self.policies[name] for name in order}, weights)
+
+    def sample(self, number: int, seed: int = 0) -> "Population":
+        """So many members, drawn, each at most once; who they are does not depend on the order of the rows."""
+        if not 1 <= number <= len(self):
+            raise UsageError(f"From {len(self)} members 1 to {len(self)} can be drawn, not {number}.")
+        check_seed("seed", seed)
+        return self.select(np.random.default_rng(seed).choice(sorted(self.ids), number, replace=False).tolist())
 
     def member(self, row: dict[str, Any]) -> dict[str, Any]:
         """By agent the parameters of one member, as they are stored; nothing for people with habits."""

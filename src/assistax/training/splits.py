@@ -13,6 +13,7 @@ from assistax.errors import UsageError, choose
 from assistax.files import read_json, write_json, writing
 from assistax.formats import SPLIT
 from assistax.human import disability, preference
+from assistax.settings import check_seed
 from assistax.training.population import Population
 
 Split = dict[str, list[str]]
@@ -125,6 +126,7 @@ def split(
     if (kind == CONVENTION) != (crossplay is not None):
         raise UsageError(f"The split by {CONVENTION}, and no other, needs a cross-play (--crossplay).")
     final = population.select([row["id"] for row in population.rows if "fraction" not in row])
+    check_seed("seed", seed)
     rng = np.random.default_rng(seed)
     return check(population, KINDS[kind](final, rng) if crossplay is None else by_convention(final, rng, crossplay))
 
