@@ -2,9 +2,11 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from commands import assistax
 from hub_stub import Hub
 
 from assistax.errors import UsageError
@@ -18,12 +20,13 @@ NAME = "somebody/people"
 
 
 @pytest.fixture
-def server(monkeypatch):
+def server(monkeypatch, tmp_path_factory):
     """A hub, which the client takes for the hub."""
     import huggingface_hub.constants as constants
 
     with Hub() as made:
-        for name, value in {"ENDPOINT": made.address, "HF_HUB_DISABLE_XET": True}.items():
+        cache = str(tmp_path_factory.mktemp("cache"))
+        for name, value in {"ENDPOINT": made.address, "HF_HUB_DISABLE_XET": True, "HF_HUB_CACHE": cache}.items():
             monkeypatch.setattr(constants, name, value)
         monkeypatch.setattr(
             constants, "HUGGINGFACE_CO_URL_TEMPLATE", made.address + "/{repo_id}/resolve/{revision}/{filename}"
@@ -65,6 +68,21 @@ def test_what_is_pulled_is_what_was_pushed(server, folder, tmp_path):
     pulled = hub.pull(NAME, tmp_path / "pulled")
     assert pulled.ids == Population.load(folder).ids
     assert contents(tmp_path / "pulled") == {k: v for k, v in contents(folder).items() if k != "runs/large"}
+
+
+def test_a_population_is_loaded_by_its_name_there(server, folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    hub.push(folder, NAME)
+    assert Population.load(NAME).rows == Population.load(folder).rows
+    assert splits.named(f"{NAME}:random/test")[1].ids == splits.named(f"{folder}:random/test")[1].ids
+    assert assistax("population", "verify", NAME).stdout == "3 members of feeding-v1, all as they were saved\n"
+    hub.push(Path(NAME), "somebody/copy")
+    assert server.at("somebody/copy", "main")[1].keys() == server.at(NAME, "main")[1].keys()
+    with pytest.raises(UsageError, match=r"^else/people is no folder here\. There is no else/people on the Hub"):
+        Population.load("else/people")
+    (tmp_path / "somebody").mkdir()  # a folder here is meant, whatever is there
+    with pytest.raises(UsageError, match=r"^somebody/people is not a population"):
+        Population.load(NAME)
 
 
 def test_a_revision_is_what_it_was(server, folder, tmp_path):
@@ -113,6 +131,8 @@ def test_what_cannot_be_is_one_line(server, folder, tmp_path):
 
 def test_without_the_client_a_line_says_what_to_install():
     code = "import sys; sys.modules['huggingface_hub'] = None\nfrom assistax.training import hub\n"
-    code += "try: hub.pull('a/b', __import__('pathlib').Path('x'))\nexcept Exception as error: print(error)"
+    code += "for use in (hub.Population.load, lambda name: hub.pull(name, __import__('pathlib').Path('x'))):\n"
+    code += "    try: use('a/b')\n    except Exception as error: print(error)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert said == 'Sharing needs the Hugging Face Hub\'s client: pip install "assistax[hub]".\n'
+    line = 'Sharing needs the Hugging Face Hub\'s client: pip install "assistax[hub]".\n'
+    assert said == f"a/b is no folder here. {line}{line}"

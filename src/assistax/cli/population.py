@@ -199,11 +199,11 @@ def verify(folder: Folder) -> None:
     Args:
       folder: of the population.
     """
-    from assistax.training.population import ABOUT, Population, is_sealed
+    from assistax.training.population import ABOUT, Population, find, is_sealed
 
-    found = Population.load(folder)
+    found = Population.load(place := find(folder))
     print(f"{len(found)} members of {found.task}, all as they were saved")
-    if not is_sealed(folder):
+    if not is_sealed(place):
         print(f"What the manifest says they reach is not checked, nor whether somebody is gone: there is no {ABOUT}.")
 
 

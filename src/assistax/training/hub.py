@@ -3,22 +3,17 @@
 Only the Hub's own client talks to it; where it is and who one is, the client's settings say (HF_ENDPOINT, HF_TOKEN).
 """
 
-import os
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Generator
-from contextlib import contextmanager
 from fnmatch import fnmatch
 from pathlib import Path
-from typing import Any
 
 from assistax.errors import UsageError
 from assistax.files import writing
-from assistax.training.population import ABOUT, MANIFEST, Population
+from assistax.training.hub_client import client, plainly, snapshot
+from assistax.training.population import MANIFEST, SHARED, Population, find
 
-# Of a population's folder; runs and plans stay at home.
-SHARED = (MANIFEST, ABOUT, "weights-*.safetensors", "splits/*.json")
 CARD = "README.md"
 
 
@@ -33,8 +28,8 @@ def push(folder: Path, name: str, private: bool = False) -> str:
     Returns:
       the commit there, which `pull` takes as a revision.
     """
-    population, hub = Population.load(folder), _client()
-    with _plainly(name), tempfile.TemporaryDirectory() as place:
+    population, hub = Population.load(folder := find(folder)), client()
+    with plainly(name), tempfile.TemporaryDirectory() as place:
         (Path(place) / CARD).write_text(card(population, name))
         hub.HfApi().create_repo(name, repo_type="dataset", private=private, exist_ok=True)
         ours = {path.relative_to(folder).as_posix(): path for kind in SHARED for path in sorted(folder.glob(kind))}
@@ -60,15 +55,13 @@ def pull(name: str, folder: Path, revision: str | None = None) -> Population:
     """
     if folder.exists():
         raise UsageError(f"{folder} is there already; name another --out.")
-    hub = _client()
+    client()  # asked before anything is written
     with writing(folder):
         folder.parent.mkdir(parents=True, exist_ok=True)
         place = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
-        with writing(folder), _plainly(name, revision):
-            hub.HfApi().snapshot_download(
-                name, repo_type="dataset", revision=revision, local_dir=place, allow_patterns=list(SHARED)
-            )
+        with writing(folder):
+            snapshot(name, SHARED, revision, place)
         shutil.rmtree(place / ".cache", ignore_errors=True)  # the client's notes
         if not (place / MANIFEST).is_file():
             raise UsageError(f"{name} on the Hub is not a population: it has no {MANIFEST}.")
@@ -112,35 +105,3 @@ def card(population: Population, name: str) -> str:
         safe = sum(row.get("safe_success_rate", 0.0) for row in trained) / len(trained)
         lines += [f"With their own robots they succeed safely in {safe:.0%} of the episodes, on average.", ""]
     return "\n".join(lines)
-
-
-def _client() -> Any:
-    """The Hub's package; raises UsageError if it is not there."""
-    os.environ.setdefault("HF_HUB_DISABLE_TELEMETRY", "1")
-    try:
-        import huggingface_hub.errors
-    except ImportError:
-        raise UsageError('Sharing needs the Hugging Face Hub\'s client: pip install "assistax[hub]".') from None
-    return huggingface_hub
-
-
-@contextmanager
-def _plainly(name: str, revision: str | None = None) -> Generator[None]:
-    """What goes wrong with the Hub inside is a UsageError of one line."""
-    hub = _client()
-    errors = hub.errors
-    try:
-        yield
-    except errors.HFValidationError:
-        raise UsageError(f"A population on the Hub is called OWNER/NAME, not {name!r}.") from None
-    except errors.RevisionNotFoundError:
-        raise UsageError(f"{name} on the Hub has no revision {revision!r}.") from None
-    except errors.RepositoryNotFoundError:
-        raise UsageError(f"There is no {name} on the Hub, or you may not see it (log in: hf auth login).") from None
-    except (errors.HfHubHTTPError, errors.OfflineModeIsEnabled, errors.LocalEntryNotFoundError) as error:
-        reason = str(error).strip().partition("\n")[0]
-        raise UsageError(f"The Hub at {hub.constants.ENDPOINT} did not do it: {reason}") from None
-    except Exception as error:  # of the library with which the client speaks HTTP, which changes
-        if type(error).__module__.partition(".")[0] in ("httpx", "httpx2", "httpcore", "httpcore2", "requests"):
-            raise UsageError(f"The Hub at {hub.constants.ENDPOINT} cannot be reached ({error}).") from None
-        raise

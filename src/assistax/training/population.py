@@ -33,11 +33,13 @@ from assistax.policies import Mixed, Player, habits
 from assistax.policies.habits import HABITS
 from assistax.settings import check_seed
 from assistax.training.checkpoint import EVERYTHING, load_checkpoint, read_metadata, save_checkpoint
+from assistax.training.hub_client import snapshot
 
 POLICIES = {"ppo": Actor, "sac": SquashedActor}
 SCRIPTED = "scripted"  # the architecture of people with habits, who have no weights
 MANIFEST = "manifest.jsonl"
 ABOUT = "population.json"
+SHARED = (MANIFEST, ABOUT, "weights-*.safetensors", "splits/*.json")  # with others; runs and plans stay at home
 
 
 @dataclasses.dataclass(frozen=True)
@@ -78,8 +80,8 @@ class Population:
 
     @classmethod
     def load(cls, folder: Path | str) -> "Population":
-        """A population; raises UsageError, naming the file, if it is none or not what was saved."""
-        folder = Path(folder)
+        """A population, see `find`; raises UsageError, naming the file, if it is none or not what was saved."""
+        folder = find(folder)
         if not (folder / MANIFEST).is_file():
             raise UsageError(f"{folder} is not a population: it has no {MANIFEST}.")
         rows = read_rows(folder / MANIFEST, MEMBER)
@@ -247,6 +249,20 @@ class Population:
         params = jax.tree.map(lambda x: jnp.asarray(x[order], jnp.float32), self.weights[name][agent])
         params |= {"normalizer": RunningStats(**params["normalizer"])}
         return Player(dataclasses.replace(self.policies[name], deterministic=deterministic), params, len(rows))
+
+
+def find(name: Path | str) -> Path:
+    """The folder of a population; of OWNER/NAME, where there is no folder OWNER, that of a dataset on the Hub.
+
+    Such a dataset is fetched into the Hub client's cache. Raises UsageError if it is not there.
+    """
+    here = Path(name)
+    if here.parent.exists() or not re.fullmatch(r"\w[\w.-]*/\w[\w.-]*", str(name)):
+        return here
+    try:
+        return snapshot(str(name), SHARED)
+    except UsageError as error:
+        raise UsageError(f"{name} is no folder here. {error}") from None
 
 
 def is_population(name: str | Path) -> bool:

@@ -14,7 +14,7 @@ from assistax.files import read_json, write_json, writing
 from assistax.formats import SPLIT
 from assistax.human import disability, preference
 from assistax.settings import check_seed
-from assistax.training.population import Population
+from assistax.training.population import Population, find
 
 Split = dict[str, list[str]]
 """Ids by "train", "val" and "test"."""
@@ -164,16 +164,19 @@ def load(path: Path, population: Population) -> Split:
 def named(text: str) -> tuple[Path, Population]:
     """The folder and the members that "POP" or "POP:KIND/PART" names, for example "populations/scratch:random/test".
 
+    POP may be on the Hub, see `population.find`.
+
     "POP:random/train+earlier" names the earlier selves of the part's members, too.
 
     Raises UsageError where there is no such population, split or part.
     """
     folder, colon, part = text.rpartition(":") if ":" in text else (text, "", "")
-    population = Population.load(folder)
+    place = find(folder)
+    population = Population.load(place)
     if not colon:
-        return Path(folder), population
+        return place, population
     kind, slash, part = part.partition("/")
-    path = path_of(Path(folder), kind)
+    path = path_of(place, kind)
     if not slash or not path.is_file():
         there = sorted(found.stem for found in path.parent.glob("*.json"))
         raise UsageError(
@@ -186,7 +189,7 @@ def named(text: str) -> tuple[Path, Population]:
     if not ids:
         raise UsageError(f"The part {part} of {path} is empty.")
     chosen = population.select(ids)
-    return Path(folder), with_earlier(population, chosen) if more else chosen
+    return place, with_earlier(population, chosen) if more else chosen
 
 
 def with_earlier(population: Population, chosen: Population) -> Population:
