@@ -58,7 +58,7 @@ def test_a_player_of_several_teams_counts_once(scratch, monkeypatch):
 
     class Told:
         def __init__(self, env, episodes): ...
-        def __call__(self, team, seed):
+        def __call__(self, team, seed, people):
             return 10 * team["robot"].members + team["human"].members
 
     def summary(value):

@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from commands import assistax as assistax_command
+from stored import small, stored_run
 
 import assistax
 from assistax.adapters.partner import find_player
@@ -457,7 +458,7 @@ def test_a_population_is_a_partner_by_name(teams, tmp_path, monkeypatch):
     scripted = Population.scripted("scratch-v0", everybody.people[0], ("offers", "still"))
     Population.merge([everybody, scripted]).save(folder)
     assistax_command("population", "split", folder, "--kind", "algorithm")
-    small = ["--set", *(f"{k}={v}".replace(" ", "") for k, v in SMALL.items())]
+    sizes = ["--set", *(f"{k}={v}".replace(" ", "") for k, v in SMALL.items())]
     out = tmp_path / "run"
     for part in ("train", "test"):
         with pytest.raises(UsageError, match="Name a split and a part"):
@@ -465,7 +466,7 @@ def test_a_population_is_a_partner_by_name(teams, tmp_path, monkeypatch):
         assert len(splits.named(f"{folder}:algorithm/{part}")[1]) in (2, 6)
     who = f"human={folder}:algorithm/test"
     options = "--num-envs", 8, "--steps", 128, "--partner", who, "--out", out
-    assistax_command("train", "scratch-v0", *options, *small)
+    assistax_command("train", "scratch-v0", *options, *sizes)
     chosen = splits.named(f"{folder}:algorithm/test")[1]
     strangers = f"human={folder}:algorithm/train"  # other people than those of training
     met = assistax_command("evaluate", out, "--partner", strangers, "--episodes", 2, "--json")
@@ -481,6 +482,39 @@ def test_a_population_is_a_partner_by_name(teams, tmp_path, monkeypatch):
     (out / "partners/human/manifest.jsonl").write_text("")
     with pytest.raises(UsageError, match="has no members"):
         Run.open(out)
+
+
+def test_robots_meet_everybody_of_a_population(teams, tmp_path, capsys):
+    """A column for each member, as if nobody else were there."""
+    folder, run = tmp_path / "pop", stored_run(tmp_path / "run", small("scratch-v0"))
+    everybody = Population.of_teams([(row | {"task": "scratch-v0"}, team) for row, team in teams])
+    Population.merge([everybody, Population.scripted("scratch-v0", Person("tremor"), ("shy",))]).save(folder)
+    splits.save(splits.path_of(folder, "random"), parts := splits.split(everybody, "random"))
+    members = everybody.select(parts["train"])
+    options = "--partner", f"human={folder}:random/train", "--episodes", 3
+    report = json.loads(assistax_command("crossplay", run.folder, "still", *options, "--json").stdout)
+    assert report["persons"] == [one[:12] for one in members.ids] and report["robots"] == ["run", "still"]
+    assert report["self_play"] is None
+    for i, person in enumerate(members.people):
+        env = Run.open(run.folder, {"env.human.people": (person,)}).env
+        team = run.teams()[0] | {"human": members.select(members.ids[i : i + 1]).partner("human")}
+        alone = summarize(Evaluator(env, 3)(team))
+        np.testing.assert_allclose(report["return"][0][i], alone["mean_return"], rtol=1e-4)
+        np.testing.assert_allclose(report["force_in_contact"][0][i], alone["force"]["mean_in_contact"], rtol=1e-3)
+    assert len({*report["return"][0]}) == len(members)
+    table = assistax_command("crossplay", run.folder, "--partner", f"human={folder}", "--episodes", 1).stdout
+    assert len(table.splitlines()) == 3 and len(table.splitlines()[0].split()) == 5 + 7
+    for partner, said in (
+        ("human=shy", "Cross-play takes --partner human=POP or human=POP:KIND/PART, not human=shy"),
+        (f"robot={folder}", "Cross-play takes --partner human=POP"),
+        (f"human={folder}:random", "Name a split and a part"),
+    ):
+        with pytest.raises(SystemExit):
+            assistax_command("crossplay", run.folder, "--partner", partner)
+        assert said in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        assistax_command("crossplay", "feeding", "--partner", f"human={folder}")
+    assert "is of scratch-v0 and cannot play the human in feeding" in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import tyro
 
-from assistax.cli.common import Count, File, Json, Name, Number, Set, aligned, print_json, teams_of
+from assistax.cli.common import Count, File, Json, Name, Number, Partner, Set, aligned, print_json, teams_of
 from assistax.errors import UsageError
 
 Targets = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="RUN|TASK|POLICY ...")]
@@ -18,6 +18,7 @@ def crossplay(
     engine: Name = None,
     seed: Number = None,
     set: Set = (),
+    partner: Partner = (),
     out: File = None,
     json: Json = False,
 ) -> None:
@@ -29,6 +30,7 @@ def crossplay(
     For example:
       assistax crossplay runs/scratch-ippo-0 runs/scratch-mappo-0
       assistax crossplay scratch runs/scratch-ippo-0 still expert --out crossplay.png
+      assistax crossplay runs/robot --partner human=populations/scratch:random/test
 
     Args:
       targets: teams of one task: run folders (each seed is a team), team files, a task (the trained team that comes
@@ -37,6 +39,8 @@ def crossplay(
       engine: auto, mujoco, warp or mjx (default: as the run, else auto).
       seed: of the episodes' draws; fixed unless given.
       set: change any setting of all teams, as in `assistax evaluate`.
+      partner: human=POP or human=POP:KIND/PART lets every robot play with everybody of a population instead, a column
+        per member.
       out: a .png, .svg or .pdf of the matrix of returns.
       json: print JSON instead of a table.
     """
@@ -47,7 +51,8 @@ def crossplay(
 
     if out is not None:
         check_format(out)
-    report = cross_play(_entrants(targets, engine, set), episodes, EVALUATION_SEED if seed is None else seed)
+    entrants, people = _entrants(targets, engine, set, partner)
+    report = cross_play(entrants, episodes, EVALUATION_SEED if seed is None else seed, people)
     if out is not None:
         save(picture(report), out)
     if json:
@@ -58,25 +63,34 @@ def crossplay(
         print(f"wrote {out}")
 
 
-def _entrants(targets: tuple[str, ...], engine: str | None, assignments: tuple[str, ...]):
+def _entrants(targets: tuple[str, ...], engine: str | None, assignments: tuple[str, ...], partners: tuple[str, ...]):
+    """The targets' teams and, where a population is named, its members, as people of whom each plays alone."""
     from assistax.policies import SCRIPTED, scripted_team
     from assistax.tasks import is_task
     from assistax.teamwork.crossplay import Entrant
+    from assistax.training import splits
+    from assistax.training.partners import split_pair
+    from assistax.training.population import is_population
 
+    whose = dict(map(split_pair, partners))
+    if partners and not (len(partners) == 1 and is_population(whose.get("human", ""))):
+        raise UsageError(f"Cross-play takes --partner human=POP or human=POP:KIND/PART, not {' '.join(partners)}.")
     found = {}
     for target in targets:
         if target not in SCRIPTED:
-            env, teams, _ = teams_of(target, "trained" if is_task(target) else None, engine, assignments)
+            env, teams, _ = teams_of(target, "trained" if is_task(target) else None, engine, assignments, partners)
             name = f"trained {env.name}" if is_task(target) else Path(target).name.removesuffix(".safetensors")
             names = [name] if len(teams) == 1 else [f"{name} {i + 1}" for i in range(len(teams))]
             found[target] = [Entrant(name, env, team) for name, team in zip(names, teams, strict=True)]
     if not found:
         raise UsageError("Name a run folder, a team file or a task; scripted teams alone do not say what to do.")
-    env = next(iter(found.values()))[0].env
+    env, team = (first := next(iter(found.values()))[0]).env, first.team
+    members = splits.named(whose["human"])[1].ids if whose else ()
+    people = [Entrant(one[:12], env, team, person=i) for i, one in enumerate(members)]
     for target in targets:
         if target in SCRIPTED:
             players = dict(zip(env.agents, SCRIPTED[target], strict=True))
             found[target] = [Entrant(target, env, scripted_team(target, env), players)]
     if twice := [target for target in found if targets.count(target) > 1]:
         raise UsageError(f"{twice[0]} is there twice; name every team once.")
-    return [entrant for target in targets for entrant in found[target]]
+    return [entrant for target in targets for entrant in found[target]], people

@@ -33,13 +33,19 @@ class Entrant:
     env: Env
     team: Team
     players: dict[str, str] = field(default_factory=dict)  # names by agent, where they are not the team's own
+    person: int | None = None  # the row of the environment's list of people who it always is; None: drawn
 
     def player(self, agent: str) -> str:
         """The player's name: of entrants whose players have one name, it is the same player."""
         return self.players.get(agent, self.name)
 
 
-def cross_play(entrants: Sequence[Entrant], episodes: int = 64, seed: int = EVALUATION_SEED) -> dict[str, Any]:
+def cross_play(
+    entrants: Sequence[Entrant],
+    episodes: int = 64,
+    seed: int = EVALUATION_SEED,
+    people: Sequence[Entrant] | None = None,
+) -> dict[str, Any]:
     """Let every robot play with every person.
 
     The person brings body and preferences along: a pair plays in the environment of the person's team, all pairs
@@ -49,6 +55,7 @@ def cross_play(entrants: Sequence[Entrant], episodes: int = 64, seed: int = EVAL
       entrants: two teams or more of one task.
       episodes: per pair.
       seed: of the draws.
+      people: whose person plays, in place of the entrants'; one entrant is enough then, and no pair is a team.
 
     Returns:
       ready for JSON: "task", "episodes", "robots" and "persons" (names); "return", "success" and "force_in_contact"
@@ -58,11 +65,14 @@ def cross_play(entrants: Sequence[Entrant], episodes: int = 64, seed: int = EVAL
     Raises:
       UsageError: fewer than two teams, a team twice, or teams whose task, settings or observations differ.
     """
-    _check(entrants)
+    _check(entrants, people)
     robots = {entrant.player("robot"): entrant for entrant in reversed(entrants)}
-    persons = {(entrant.player("human"), str(_settings(entrant.env))): entrant for entrant in reversed(entrants)}
+    persons = {
+        (entrant.player("human"), str(_settings(entrant.env))): entrant for entrant in reversed(people or entrants)
+    }
     robots, persons = dict(reversed(robots.items())), dict(reversed(persons.items()))
-    teams = {(e.player("robot"), (e.player("human"), str(_settings(e.env)))) for e in entrants}
+    own = () if people else entrants
+    teams = {(e.player("robot"), (e.player("human"), str(_settings(e.env)))) for e in own}
     evaluators: dict[str, Evaluator] = {}
     shape = len(robots), len(persons)
     matrices = {name: np.zeros(shape) for name in ("return", "success", "force_in_contact")}
@@ -72,7 +82,9 @@ def cross_play(entrants: Sequence[Entrant], episodes: int = 64, seed: int = EVAL
         for i, robot in enumerate(robots.values()):
             for j, ((_, settings), human) in enumerate(persons.items()):
                 evaluator = evaluators.setdefault(settings, Evaluator(human.env, episodes))  # compiled once
-                played = summarize(evaluator({"robot": robot.team["robot"], "human": human.team["human"]}, seed))
+                rows = None if human.person is None else np.full(episodes, human.person)
+                team = {"robot": robot.team["robot"], "human": human.team["human"]}
+                played = summarize(evaluator(team, seed, rows))
                 matrices["return"][i, j] = played["mean_return"]
                 matrices["success"][i, j] = played["success_rate"]
                 matrices["force_in_contact"][i, j] = played["force"]["mean_in_contact"]
@@ -91,8 +103,8 @@ def _names(report: dict[str, Any]) -> tuple[list[str], list[str]]:
     return report.get("robots") or report["teams"], report.get("persons") or report["teams"]
 
 
-def _check(entrants: Sequence[Entrant]) -> None:
-    if len(entrants) < 2:
+def _check(entrants: Sequence[Entrant], people: Sequence[Entrant] | None) -> None:
+    if len(entrants) < 2 and not people:
         raise UsageError("Cross-play takes two teams or more.")
     names = [entrant.name for entrant in entrants]
     if twice := [name for name in names if names.count(name) > 1]:
@@ -106,7 +118,7 @@ def _check(entrants: Sequence[Entrant]) -> None:
                     f"{name} is {value} in {first.name} and {theirs[name]} in {other.name}; "
                     "cross-play is of one task with the same settings."
                 )
-    for human in entrants:
+    for human in people or entrants:
         sizes = human.env.observation_sizes
         for robot in entrants:
             size = robot.env.observation_sizes["robot"]
