@@ -149,6 +149,19 @@ def test_a_list_of_people_is_drawn_from_evenly_and_survives_its_file(form, tmp_p
     assert again.human.disabled and again.human.preferring
 
 
+def test_people_are_drawn_by_their_weights():
+    """Those of weight 0 never; and who it is goes on saying which row."""
+    weights = 0, 3, 0, 1, 4, 0
+    listed = tuple(Person(f"tremor=0.{i}") for i in range(1, 7))
+    config = with_settings(EnvConfig(), {"human.people": listed, "human.weights": weights})
+    again = with_settings(EnvConfig(), json.loads(json.dumps(dataclasses.asdict(config))))
+    drawn = jax.jit(jax.vmap(again.human.draw))(jax.random.split(jax.random.key(0), 8000))
+    counts, expected = np.bincount(drawn.index, minlength=6), 1000 * np.array(weights)
+    assert (counts[expected == 0] == 0).all() and (np.abs(counts - expected) <= 5 * expected**0.5).all()
+    np.testing.assert_array_equal(drawn.disability.tremor, stack(listed).disability.tremor[drawn.index])
+    assert again.human.draw(jax.random.key(0), 2).index == 2
+
+
 def test_people_are_drawn_alike_on_every_engine():
     human = {"disability": "standard", "preference": "sweep"}
     envs = [assistax.make("scratch-v0", engine, human=human) for engine in ("mujoco", "warp", "mjx")]
@@ -334,6 +347,11 @@ def test_evaluations_show_both_returns():
     (lambda: preference.preference(weights=(0.3, 0.3, 0.3)), r"weight of touch must be in \[-1, 0\]"),
     (lambda: Person(preference="sweep"), "Unknown preference 'sweep'"),
     (lambda: HumanConfig(people=()), "must hold a list"),
+    (lambda: HumanConfig(disability="standard", weights=(1.0,)), "a number for each of the 7 people"),
+    (lambda: HumanConfig(weights=(0.0,)), r"not all 0, not \(0\.0,\)"),
+    (lambda: HumanConfig(disability="standard", weights=(2.0,) * 6 + (-1.0,)), "0 or more"),
+    (lambda: HumanConfig(weights=(float("nan"),)), "0 or more"),
+    (lambda: HumanConfig(weights=(float("inf"),)), "0 or more"),
     (lambda: HumanConfig(people="paper63"), "Did you mean 'paper630'"),
     (lambda: HumanConfig(people=stack((Person(),)), disability="tremor"), "leave out env.human.disability"),
     (lambda: HumanConfig(people=(Person(), Person(preference="default"))), "either all people have a preference"),

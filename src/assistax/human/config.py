@@ -6,6 +6,7 @@ from functools import cached_property
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from assistax.errors import UsageError, choose
 from assistax.human import disability, population, preference
@@ -30,6 +31,8 @@ class HumanConfig:
     # Instead of both, a list of people of whom every reset draws one: "paper630", a JSON file, or
     # whatever else `population.people` takes. Kept in words: a run does not need the file again.
     people: str | tuple[Person, ...] | HumanProfile = "none"
+    # How often each of those people is drawn, in proportion: a number for each, (2, 1, 1). (): all as often.
+    weights: tuple[float, ...] = ()
     # Who sees the preference: "both" (the paper), "human" or "none"; with "oracle" both do, and the robot is told the
     # body as well (tremor, its frequency, strength and motion), as a reference for robots that have to find out.
     visibility: str = "both"
@@ -58,6 +61,13 @@ class HumanConfig:
             preference.parse(self.preference)
         else:
             choose("preference", self.preference, ["none", "default", "sweep"])
+        if self.weights and not (
+            len(self.weights) == len(self.listed) and min(self.weights) >= 0 < sum(self.weights) < float("inf")
+        ):
+            raise UsageError(
+                f"env.human.weights takes a number for each of the {len(self.listed)} people, 0 or more and not all 0, "
+                f"not {self.weights}."
+            )
 
     @cached_property
     def listed(self) -> tuple[Person, ...]:
@@ -83,11 +93,14 @@ class HumanConfig:
         return self.preference == "sweep" or any(person.preference != "none" for person in self.listed)
 
     def draw(self, key: jax.Array, index: jax.Array | None = None) -> HumanProfile:
-        """One person, each of those listed as likely as any other; or the one in row `index` of the list."""
+        """One of those listed, each as likely as any other or by `weights`; or the one in row `index` of the list."""
         which, key = jax.random.split(key)
         number = len(self.listed)
         # Not randint, which takes three times as many random bits and shows in the speed of a step.
-        if index is None:
+        if index is None and self.weights:
+            bounds = np.cumsum(self.weights[:-1]) / sum(self.weights)  # between neighbours
+            index = (jax.random.uniform(which) >= jnp.asarray(bounds, jnp.float32)).sum(dtype=jnp.int32)
+        elif index is None:
             index = (jax.random.uniform(which) * number).astype(jnp.int32) if number > 1 else jnp.int32(0)
         person = jax.tree.map(lambda x: jnp.asarray(x)[index], self._profiles)
         if self.preference == "sweep":

@@ -142,7 +142,8 @@ def people_of(partners: Iterable[str]) -> dict[str, Any]:
         agent, _, name = text.partition("=")
         if agent == "human" and is_population(name):
             people = splits.named(name)[1].people
-            return {"env.human.people": people, "env.human.disability": "none", "env.human.preference": "none"}
+            words = {"env.human.disability": "none", "env.human.preference": "none"}
+            return {"env.human.people": people, "env.human.weights": ()} | words
     return {}
 
 
