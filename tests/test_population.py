@@ -19,6 +19,7 @@ from assistax.errors import UsageError
 from assistax.evaluation import play
 from assistax.evaluation.playing import Evaluator, summarize
 from assistax.human import Person
+from assistax.learning.normalizer import RunningStats
 from assistax.learning.partners import Partners
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.policies import Player, scripted_policy
@@ -28,10 +29,11 @@ from assistax.teamwork.gather import gather
 from assistax.teamwork.plan import Plan
 from assistax.teamwork.plan import train as train_plan
 from assistax.training import journal, loop, splits
-from assistax.training.configuration import configure
+from assistax.training.configuration import configure, trained_env
 from assistax.training.partners import find_partner
 from assistax.training.population import Population
 from assistax.training.run import Run
+from assistax.training.team_file import params_like
 
 WORDS = ("none", "tremor", "weakness", "limited_range", "tremor=0.2", "strength=0.5")
 CONFIG = PPOConfig(num_steps=4, num_minibatches=1, hidden=(8, 8), initial_log_std=-1.0)
@@ -311,6 +313,58 @@ def test_everybody_of_several_kinds_acts_as_alone(population, scratch):
         np.testing.assert_allclose(picked, own, atol=1e-6)
         np.testing.assert_allclose(read, own, atol=1e-6)
         jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-6), carry, also)
+
+
+KINDS = {
+    "feed-forward": ("ippo", {"ppo.hidden": (8, 8)}),
+    "GRU": ("ippo", {"ppo.hidden": (8, 8), "ppo.recurrent": True}),
+    "shared": ("ippo", {"ppo.hidden": (8, 8), "ppo.share_parameters": True}),
+    "model of the partner": ("ippo", {"ppo.hidden": (8, 8), "ppo.partner_code": 4}),
+    "mappo": ("mappo", {"ppo.hidden": (8, 8), "ppo.recurrent": True}),
+    "masac": ("masac", {"sac.hidden": (8, 8)}),
+    "isac": ("isac", {"sac.hidden": (4, 4)}),
+}
+
+
+def test_members_of_every_kind_act_as_in_their_runs_and_forget_at_the_end_of_an_episode(tmp_path):
+    """All in one player, two episodes with the same observations, against each policy as its run has it."""
+    own, members, rng = [], [], np.random.default_rng(0)
+    for seed, (algorithm, settings) in enumerate(KINDS.values()):
+        env, trainer = trained_env(configure("scratch", settings, algorithm=algorithm, engine="mujoco", num_envs=8))
+        params = jax.tree.map(lambda x: rng.uniform(-0.5, 0.5, x.shape).astype(x.dtype), params_like(trainer))
+        for one in params.values():
+            mean = one["normalizer"].mean
+            one["normalizer"] = RunningStats(np.float32(100), mean, 100 + mean)  # a spread of about 1
+        own.append((trainer.policy(True), params))
+        row = {"task": env.name, "algorithm": algorithm, "seed": seed, "steps": 64, "robot": True}
+        row |= {"person": {"disability": "none", "preference": "none"}}
+        members.append((row, {agent: Player.of(trainer.policy(False), params[agent]) for agent in params}))
+    Population.of_teams(members).save(tmp_path / "pop")
+    population, number = Population.load(tmp_path / "pop"), len(KINDS)
+    for agent in env.agents:
+        partners = Partners(env, number, {agent: population.partner(agent, deterministic=True, by_person=False)})
+        episode = rng.normal(size=(4, env.observation_sizes[agent])).astype(np.float32)
+
+        def acted(resets, agent=agent, partners=partners, episode=episode):
+            state, act, actions = partners.init(jax.random.key(0)), jax.jit(partners.act), []
+            state[agent]["index"] = jnp.arange(number)
+            for obs, reset in zip([*episode, *episode], resets, strict=True):
+                seen = {agent: jnp.tile(obs, (number, 1))}, jnp.full(number, reset), jax.random.key(1)
+                action, state = act(state, None, *seen)
+                actions.append(action[agent])
+            return np.stack(actions)
+
+        first = np.arange(8) % 4 == 0
+        actions, unending = acted(first), acted(np.arange(8) == 0)
+        np.testing.assert_array_equal(actions[:4], actions[4:])
+        for i, (name, (policy, params)) in enumerate(zip(KINDS, own, strict=True)):
+            carry = policy.initial_carry()
+            for t, obs in enumerate(episode):
+                wanted, carry = policy.act(params[agent], carry, obs, jnp.bool_(t == 0), jax.random.key(1))
+                np.testing.assert_allclose(actions[t, i], wanted, atol=2e-3, err_msg=f"{name}, step {t}")
+            remembers = name in ("GRU", "model of the partner", "mappo")
+            assert (np.abs(unending[4, i] - actions[4, i]).max() > 0.01) == remembers, name
+        assert len({tuple(one) for one in actions[0].round(3).tolist()}) == number
 
 
 class Tells:

@@ -3,7 +3,7 @@
 manifest.jsonl                   one row a member, see formats.MEMBER: who they are, how they were trained, what they
                                  reach with the robot that was trained with them
 population.json                  how many rows that are, and their hash in whatever order; older populations have none
-weights-ARCHITECTURE.safetensors the weights of all members of one architecture, stacked, by agent; actors in half
+weights-ARCHITECTURE.safetensors the weights of all members of one architecture, stacked, by agent; networks in half
                                  precision, normalisers in single
 
 A member is a whole team: a person, and the robot that learned with them. Its id is a hash of its weights and of who it
@@ -294,11 +294,11 @@ def _seal(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _rounded(params: Any) -> Any:
-    """As they are stored: what is called "actor" in half precision, the normaliser by the names of its fields."""
-    halves = jax.tree.map(lambda x: np.asarray(x, np.float16), params["actor"])
-    stats = params["normalizer"]
+    """As they are stored: networks in half precision, the normaliser by the names of its fields."""
+    networks, stats = {k: x for k, x in params.items() if k != "normalizer"}, params["normalizer"]
+    halves = jax.tree.map(lambda x: np.asarray(x, np.float16), networks)
     fields = {field.name: np.asarray(getattr(stats, field.name)) for field in dataclasses.fields(stats)}
-    return {"actor": halves, "normalizer": fields}
+    return halves | {"normalizer": fields}
 
 
 def _describe(policy: Any) -> tuple[str, dict[str, Any]]:
