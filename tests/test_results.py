@@ -262,6 +262,7 @@ def test_the_table_is_what_can_be_worked_out_by_hand(tmp_path, monkeypatch, caps
     assert versus["first"]["algorithm"] == "ippo"
     # Against 750, 850 and 950 nine pairs give 8 wins; against 850, 1850, 2850 6.
     assert versus["probability_of_improvement"] == pytest.approx((8 / 9 + 6 / 9) / 2)
+    assert versus["version"] == whole["version"] == 0
     cli.table(markdown=True)
     text = capsys.readouterr().out
     assert "| scratch-v0 | ippo | default | none | 0.004 | 3 | 1000 [7" in text and "†" in text
@@ -377,6 +378,33 @@ def test_panels_show_the_means_bands_and_references(tmp_path):
     by_algorithm = [axes for axes in figures.learning_curves(found, RECORDS, by="algorithm").axes if axes.axison]
     assert [axes.get_title() for axes in by_algorithm] == ["ippo", "mappo"]
     np.testing.assert_allclose(drawn(by_algorithm[0])[0][0].get_ydata()[-1], (550 - 80) / 1100)
+
+
+def test_versions_of_the_tasks_are_not_put_together(tmp_path):
+    """Of version 0 two tasks, of version 1 the same two, which everybody solves."""
+    for task in ("scratch-v0", "feeding-v0", "scratch-v1", "feeding-v1"):
+        for algorithm in ("ippo", "mappo"):
+            run = write_run(tmp_path / f"{task}-{algorithm}", [1, 2, 3], task=task, algorithm=algorithm)
+            rows = (run / "evaluations.jsonl").read_text()
+            if task.endswith("v1"):
+                (run / "evaluations.jsonl").write_text(rows.replace('"success": [0.0, 1.0]', '"success": [1.0, 1.0]'))
+    found = pooled(*tmp_path.iterdir())
+    for rows, count in ((comparison.aggregates(found, RECORDS), 4), (comparison.comparisons(found), 2)):
+        assert len(rows) == count
+        assert all(row["tasks"] == [f"scratch-v{row['version']}", f"feeding-v{row['version']}"] for row in rows)
+    heads = [head for head, _ in comparison.tables(comparison.report(found, RECORDS, compare=True))]
+    assert "version" not in heads[0] and "version" in heads[1] and "version" in heads[2]
+
+    def panels(by):
+        figure = figures.learning_curves(found, RECORDS, by=by, metric="success")
+        return {axes.get_title(): drawn(axes)[0] for axes in figure.axes if axes.axison}
+
+    old, new = ["scratch-v0", "feeding-v0"], ["scratch-v1", "feeding-v1"]
+    by_task = panels("task")
+    assert list(by_task) == [*old, "all 2 tasks, version 0", *new, "all 2 tasks, version 1"]
+    for version, height in enumerate((0.5, 1.0)):
+        assert [list(line.get_ydata()) for line in by_task[f"all 2 tasks, version {version}"]] == [[height] * 3] * 2
+    assert list(panels("algorithm")) == [f"{name}, version {n}" for n in (0, 1) for name in ("ippo", "mappo")]
 
 
 def test_one_seed_is_drawn_without_a_band_and_preferences_in_a_row_of_their_own(tmp_path):

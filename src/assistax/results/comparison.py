@@ -142,12 +142,12 @@ def learned(experiment: Experiment) -> list[dict[str, float]]:
 
 
 def aggregates(found: Sequence[Experiment], records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Per method and person with two tasks and more: returns on each of SCALES over the tasks that have it."""
+    """Per version, person and method with two tasks and more: returns on each of SCALES over the tasks that have it."""
     rows = []
-    for (person, method), each in by_method(found).items():
+    for (version, person, method), each in by_method(found).items():
         if len(each) < 2:
             continue
-        row: dict[str, Any] = {"person": person, **dataclasses.asdict(method)}
+        row: dict[str, Any] = {"version": version, "person": person, **dataclasses.asdict(method)}
         row |= {"tasks": [e.task for e in each], "seeds": [len(e.seeds) for e in each]}
         for kind in SCALES:
             ends = scales(each, kind, records)
@@ -157,18 +157,18 @@ def aggregates(found: Sequence[Experiment], records: Sequence[dict[str, Any]]) -
 
 
 def comparisons(found: Sequence[Experiment]) -> list[dict[str, Any]]:
-    """Of every two methods with the same person: how probable it is that the first beats the second."""
+    """Of every two methods with the same tasks and person: how probable it is that the first beats the second."""
     check_comparable(found)
     groups = list(by_method(found).items())
     rows = []
-    for i, ((person, first), ours) in enumerate(groups):
-        for (other, second), theirs in groups[i + 1 :]:
+    for i, ((version, person, first), ours) in enumerate(groups):
+        for (_, other, second), theirs in groups[i + 1 :]:
             pairs = [(a, b) for a in ours for b in theirs if a.task == b.task]
             if person != other or not pairs:
                 continue
             scores = [[e.final("mean_return") for e in side] for side in zip(*pairs, strict=True)]
             probability, ci = probability_of_improvement(*scores)
-            row: dict[str, Any] = {"person": person}
+            row: dict[str, Any] = {"version": version, "person": person}
             row |= {"first": dataclasses.asdict(first), "second": dataclasses.asdict(second)}
             row |= {"tasks": [a.task for a, _ in pairs], "seeds": [[x.size for x in side] for side in scores]}
             rows.append(row | {"probability_of_improvement": probability, "ci": ci})
@@ -231,6 +231,7 @@ def tables(results: dict[str, Any]) -> list[Table]:
     found.append((head, cells))
     if rows := results["aggregates"]:
         head = [
+            "version",
             "tasks",
             *_METHOD,
             "seeds",
@@ -239,7 +240,7 @@ def tables(results: dict[str, Any]) -> list[Table]:
         cells = []
         for row in rows:
             scores = [_estimate(row[kind], min(row["seeds"]), _percent, "iqm") or "–" for kind in SCALES]
-            cells.append([str(len(row["tasks"])), *_method(row), _seeds(row["seeds"]), *scores])
+            cells.append([str(row["version"]), str(len(row["tasks"])), *_method(row), _seeds(row["seeds"]), *scores])
         found.append((head, cells))
     if rows := results.get("comparisons"):
         cells = []
@@ -248,10 +249,9 @@ def tables(results: dict[str, Any]) -> list[Table]:
             names = [_name(row[who]) for who in ("first", "second")]
             numbers = [_seeds(seeds) for seeds in row["seeds"]]
             few = min(map(min, row["seeds"]))
-            cells.append(
-                [*names, row["person"], str(len(row["tasks"])), " / ".join(numbers), _estimate(value, few, _percent)]
-            )
-        found.append((["this", "beats that", "person", "tasks", "seeds", "with probability [95 %]"], cells))
+            cell = [*names, row["person"], str(row["version"]), str(len(row["tasks"])), " / ".join(numbers)]
+            cells.append([*cell, _estimate(value, few, _percent)])
+        found.append((["this", "beats that", "person", "version", "tasks", "seeds", "with probability [95 %]"], cells))
     return found
 
 

@@ -18,6 +18,7 @@ from assistax.evaluation.statistics import FEW_SEEDS, iqm, mean, seed_ci
 from assistax.files import write_atomically
 from assistax.results.comparison import SCALES, bound_of, expert_of, scale, scales
 from assistax.results.stored import POINTS, Experiment, Method, best_source, by_method, check_comparable, curve
+from assistax.tasks import task_spec
 
 FORMATS = (".png", ".svg", ".pdf")
 # Okabe and Ito's, which colour-blind readers can tell apart; without yellow, too light for a line.
@@ -90,7 +91,8 @@ def learning_curves(
       found: experiments; their returns must be comparable.
       records: what scripted policies reach, see `comparison.read_references`.
       by: "task": a panel per task, and with several tasks one with the interquartile mean over them, of methods that
-        have them all; for each kind of person. "algorithm": a panel per method, with a curve per task.
+        have them all; for each version of the tasks and kind of person. "algorithm": a panel per method, with a curve
+        per task; for each of those, too.
       metric: of `Env.metrics`.
       source: "evaluation" or "training" episodes; None: for each experiment evaluation, if all its runs have it.
       kind: of comparison.SCALES, to put returns of several tasks together; None: minmax where all have it, else bound.
@@ -101,36 +103,41 @@ def learning_curves(
     source = " or ".join(sorted(set(sources.values())))
     label = f"{metric.replace('_', ' ')}, {source} episodes"
     curves = {e: Curve(steps, [values]) for e in found for steps, values in [curve(e, metric, sources[e])]}
-    names, persons = _names(found), list(dict.fromkeys(e.person for e in found))
+    names = _names(found)
+    groups = sorted(dict.fromkeys((e.version, e.person) for e in found), key=lambda group: group[0])
+    versions, persons = map(set, zip(*groups, strict=True))
 
-    def title(words, person):
+    def title(words, person, version=None):
+        """With the version of several tasks: of one, its name says it."""
         who = "no preference, no disability" if person == "none" else person
+        words += f", version {version}" * (version is not None and len(versions) > 1)
         return f"{words}\n{who}" if len(persons) > 1 else words
 
     if by == "algorithm":
         shown, scaled = _normalised(curves, records, metric, kind)
         panels = [
-            Panel(title(names[method], person), scaled or label, {e.task: (shown or curves)[e] for e in each})
-            for (person, method), each in by_method(found).items()
+            Panel(title(names[method], person, version), scaled or label, {e.task: (shown or curves)[e] for e in each})
+            for (version, person, method), each in by_method(found).items()
         ]
         return _draw(_fold(panels), source, same_scale=True)
     rows = []
-    for person in persons:
-        mine = {e: curves[e] for e in found if e.person == person}
+    for version, person in groups:
+        mine = {e: curves[e] for e in found if (e.version, e.person) == (version, person)}
         row, tasks = [], list(dict.fromkeys(e.task for e in mine))
         for task in tasks:
             here = [e for e in mine if e.task == task]
             lines = _lines(here[0], records) if metric == "return" else {}
             row.append(Panel(title(task, person), label, {names[e.method]: curves[e] for e in here}, lines=lines))
         shown, scaled = _normalised(mine, records, metric, kind)
-        whole = {names[m]: each for (_, m), each in by_method(list(mine)).items() if len(each) == len(tasks)}
+        whole = {names[m]: each for (*_, m), each in by_method(list(mine)).items() if len(each) == len(tasks)}
         if shown and len(tasks) > 1 and whole:
             together = {name: _together([shown[e] for e in each]) for name, each in whole.items()}
-            row.append(Panel(title(f"all {len(tasks)} tasks", person), f"{scaled or label}, IQM", together, iqm))
+            words = title(f"all {len(tasks)} tasks", person, version)
+            row.append(Panel(words, f"{scaled or label}, IQM", together, iqm))
         rows.append(row)
-    # A row for each person and a column for each task, if that leaves no holes.
-    pairs = {(e.person, e.task) for e in found}
-    aligned = len(rows) > 1 and len(pairs) == len(rows) * len({task for _, task in pairs})
+    # A row for each version and person and a column for each task, if that leaves no holes.
+    places = {(e.version, e.person, task_spec(e.task).name) for e in found}
+    aligned = len(rows) > 1 and len(places) == len(rows) * len({task for *_, task in places})
     return _draw(rows if aligned else _fold([panel for row in rows for panel in row]), source)
 
 

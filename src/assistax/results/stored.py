@@ -18,7 +18,7 @@ import numpy as np
 from assistax.errors import UsageError, choose
 from assistax.files import read_json, read_rows
 from assistax.formats import CONFIG, ROWS, SUMMARY
-from assistax.tasks import TASKS, stored_task
+from assistax.tasks import TASKS, stored_task, task_spec
 
 # Settings that say how something was computed or measured, not what was trained.
 _NOT_THE_EXPERIMENT = {"seed", "num_seeds", "engine", "evaluations"}
@@ -138,6 +138,11 @@ class Experiment:
         return [seed for run in self.runs for seed in run.seeds]
 
     @property
+    def version(self) -> int:
+        """Of the task. Rewards and outcomes of versions differ, so that what is put together is of one."""
+        return task_spec(self.task).version
+
+    @property
     def preferring(self) -> bool:
         """Whether the return has a preference's part."""
         settings = self.runs[0].settings
@@ -228,11 +233,11 @@ def _check_pooled(experiment: Experiment) -> None:
             where[seed] = run.folder
 
 
-def by_method(found: Sequence[Experiment]) -> dict[tuple[str, Method], list[Experiment]]:
-    """Experiments by person and method."""
+def by_method(found: Sequence[Experiment]) -> dict[tuple[int, str, Method], list[Experiment]]:
+    """Experiments by version of the task, person and method."""
     groups = defaultdict(list)
     for experiment in found:
-        groups[experiment.person, experiment.method].append(experiment)
+        groups[experiment.version, experiment.person, experiment.method].append(experiment)
     return dict(groups)
 
 
