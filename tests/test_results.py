@@ -209,6 +209,20 @@ def test_without_arguments_all_finished_runs(tmp_path, monkeypatch):
     assert sorted(run.folder.name for run in find_runs()) == ["a", "b"]
 
 
+def test_runs_lie_at_any_depth_but_what_was_tried_is_named(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for seed, name in enumerate(("a", "version1/b", "version1/trials/c", "version1/trials/more/d", "ablations/e")):
+        write_run(tmp_path / "results" / name, [1, 2], seed=seed)
+    write_run(tmp_path / "results/a/partners/f", [1, 2], seed=9)  # of a run, and none of the results
+
+    def found(*folders):
+        return [run.folder.name for run in find_runs([tmp_path / "results" / folder for folder in folders])]
+
+    assert [run.folder.name for run in find_runs()] == ["a", "b"]
+    assert found("") == ["a", "b"] and found("version1") == ["b"]
+    assert found("version1/trials") == ["c", "d"] and found("version1/trials/c", "ablations") == ["c", "e"]
+
+
 # -- scales and tables -------------------------------------------------------------------------
 
 

@@ -339,7 +339,8 @@ SHORT = 10_000_000  # steps; beside longer runs one could not see how these lear
 
 def results(folder: Path, pictures: Path) -> str:
     """The page of the trained teams; their learning curves go to the folder `pictures`."""
-    found, references = experiments(find_runs((folder,))), read_references()
+    every, references = experiments(find_runs((folder,))), read_references()
+    found = [e for e in every if e.version == 0]
     results = report(found, references, compare=False)
     evaluated = [e for e in found if all(run.rows("evaluations") for run in e.runs)]
     for name, long in {"learning_curves": False, "learning_curves_long": True}.items():

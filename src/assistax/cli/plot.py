@@ -28,7 +28,8 @@ def plot(
       assistax plot runs/scratch-ippo-0 --metric success
 
     Args:
-      runs: run folders, or folders of finished ones (default: results and runs).
+      runs: run folders, or folders of finished ones, at any depth (default: results and runs). Sub-folders trials
+        and ablations hold what was tried on the way and count only if they are named.
       by: what a panel is for: task or algorithm.
       metric: return, success, peak_force, task_return, preference_return or another that all runs have.
       source: evaluation or training episodes (default: evaluation where there is any).

@@ -17,7 +17,8 @@ def table(runs: Runs = (), *, compare: Switch = False, markdown: Switch = False,
       assistax table results --json > results/table.json
 
     Args:
-      runs: run folders, or folders of finished ones (default: results and runs).
+      runs: run folders, or folders of finished ones, at any depth (default: results and runs). Sub-folders trials
+        and ablations hold what was tried on the way and count only if they are named.
       compare: also how probable it is that one algorithm beats another.
       markdown: print Markdown.
       json: print JSON, with seeds, commits, versions and hardware.

@@ -6,8 +6,9 @@ is averaged. Reads what `training` writes and needs no checkpoints, so that fold
 
 import dataclasses
 import json
+import os
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -24,6 +25,7 @@ from assistax.tasks import TASKS, stored_task, task_spec
 _NOT_THE_EXPERIMENT = {"seed", "num_seeds", "engine", "evaluations"}
 _NOT_THE_EXPERIMENT |= {"env.num_threads", "env.contacts_per_env", "env.constraints_per_env"}
 _NAMED = {"task", "algorithm", "preset", "steps", "partners"}
+_TRIED = {"trials", "ablations"}  # folders of what was tried on the way
 _PERSON = {"disability": "none", "preference": "none", "people": "none", "visibility": "both"}
 
 
@@ -84,22 +86,31 @@ class StoredRun:
 def find_runs(folders: Sequence[Path] = ()) -> list[StoredRun]:
     """The runs in these folders, each a run or a folder of finished runs; without any those of results and runs.
 
-    Of copies the first.
+    Finished runs lie at any depth, but for what was tried on the way: in sub-folders called trials or ablations they
+    count only if those are named. Of copies the first.
     """
     found: dict[Any, StoredRun] = {}
     for folder in folders or (Path("results"), Path("runs")):
-        named = (folder / "config.json").exists()
-        inside = [folder] if named else sorted(path.parent for path in folder.glob("*/config.json"))
+        inside = list(_run_folders(folder))
         if folders and not inside:
             raise UsageError(f"{folder} is not a run folder and holds none: there is no config.json.")
         runs = [StoredRun.read(path) for path in inside]
         for run in runs:
-            if named or run.summary:
+            if run.folder == folder or run.summary:
                 found.setdefault(run.identity, run)
     if not found:
         where = ", ".join(map(str, folders)) or "results and runs"
         raise UsageError(f"There is no finished run in {where}; train one first (assistax train) or name its folder.")
     return list(found.values())
+
+
+def _run_folders(folder: Path) -> Iterator[Path]:
+    """The folder, if it is a run, or those below it, without what was tried on the way."""
+    for place, inside, files in os.walk(folder):
+        is_run = "config.json" in (*files, *inside)
+        inside[:] = [] if is_run else sorted(set(inside) - _TRIED)
+        if is_run:
+            yield Path(place)
 
 
 def flat(settings: dict[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
