@@ -180,7 +180,7 @@ def test_bad_input_is_one_clear_line(tmp_path, monkeypatch):
         (lambda: cli.table((young,)), "no summary.json"),
         (lambda: cli.table((a,), json=True, markdown=True), "--json and --markdown"),
         (lambda: curve(pooled(torn)[0], "return", "evaluation"), "Cannot read line 2 of 3 in"),
-        (lambda: curve(pooled(a)[0], "retrun", "evaluation"), "Did you mean 'return'"),
+        (lambda: curve(pooled(a)[0], "retrun", "evaluation"), "/a 'retrun'. Did you mean 'return'"),
         (lambda: cli.plot((a, harder)), "task_config.near is 0.1 and 0.2"),
         (lambda: cli.plot((a, shorter)), "env.episode_length is 1000 and 500"),
         (lambda: cli.table((a, shorter), compare=True), "env.episode_length is 1000 and 500"),
@@ -299,27 +299,66 @@ def test_a_run_that_another_commit_finished_counts_as_of_both(tmp_path, monkeypa
     assert "The runs differ in jax: 0.10.2 (1 run), 0.10.2, then 0.11.0 (1 run)." in remarks
 
 
-def test_what_is_safe_what_it_costs_and_when_it_was_learned(tmp_path, capsys):
-    """By hand: of two seeds of 4000 steps and 8 minutes together, one has 90 % at 3000, after 3 minutes of its 4."""
-    run = write_run(tmp_path / "a", [[1, 2, 3, 4], [1, 2, 3, 4]])
+def harmed(run, safe, cost):
+    """To a run, what version 1 measures: at every evaluation and in the end, by seed [seeds]."""
     rows = [json.loads(line) for line in (run / "evaluations.jsonl").read_text().splitlines()]
     for row in rows:
-        row["episodes"]["success"] = [1.0] * 8 + [float(row["seed"] == 0 and row["steps"] >= 3000), 0.0]
+        row["episodes"]["safe_success"] = [safe[row["seed"]]] * 2
+    (run / "evaluations.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    summary = json.loads((run / "summary.json").read_text())
+    for i, one in enumerate(summary["evaluation"]):
+        one |= {"safe_success_rate": safe[i], "outcomes": one["outcomes"] | {"cost": {"mean": cost[i]}}}
+    (run / "summary.json").write_text(json.dumps(summary))
+    return run
+
+
+@pytest.mark.parametrize("asked", ["success", "safe_success"])
+def test_what_is_safe_what_it_costs_and_when_it_was_learned(asked, tmp_path, capsys):
+    """By hand: of two seeds of 4000 steps and 8 minutes together, one has 90 % at 3000, after 3 minutes of its 4."""
+    run = write_run(tmp_path / "a", [[1, 2, 3, 4], [1, 2, 3, 4]])
+    if asked == "safe_success":  # success, which everybody has from the beginning, does not count then
+        harmed(run, [0.25, 0.75], [1.0, 2.0])
+    rows = [json.loads(line) for line in (run / "evaluations.jsonl").read_text().splitlines()]
+    for row in rows:
+        row["episodes"]["success"] = [1.0] * 10
+        row["episodes"][asked] = [1.0] * 8 + [float(row["seed"] == 0 and row["steps"] >= 3000), 0.0]
     (run / "evaluations.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
     summary = json.loads((run / "summary.json").read_text())
     summary["seconds"] = {"physics": 300.0, "update": 180.0, "evaluation": 999.0}
-    for i, one in enumerate(summary["evaluation"]):
-        one |= {"safe_success_rate": 0.25 + 0.5 * i, "outcomes": one["outcomes"] | {"cost": {"mean": 1.0 + i}}}
     (run / "summary.json").write_text(json.dumps(summary))
-    (found,) = pooled(run)
-    row = comparison.describe(found, RECORDS)
-    assert row["safe_success"]["mean"] == 0.5 and row["cost"]["mean"] == 1.5
+    row = comparison.describe(pooled(run)[0], RECORDS)
     assert row["learned"] == [{"steps": 3000, "minutes": pytest.approx(3.0)}]
     cli.table((run,), markdown=True)
     text = capsys.readouterr().out
-    assert "safe success | cost" in text and "| 0.0 (1 of 2) | 3.0 (1 of 2) |" in text
-    old = comparison.describe(pooled(write_run(tmp_path / "b", [1, 2]))[0], RECORDS)
-    assert "safe_success" not in old and "cost" not in old and old["learned"] == []
+    assert "| 0.0 (1 of 2) | 3.0 (1 of 2) |" in text
+    if asked == "success":
+        assert "safe_success" not in row and "cost" not in row
+    else:
+        assert row["safe_success"]["mean"] == 0.5 and row["cost"]["mean"] == 1.5
+        assert "| success | safe success | cost |" in text
+    assert comparison.describe(pooled(write_run(tmp_path / "b", [1, 2]))[0], RECORDS)["learned"] == []
+
+
+def test_success_and_harm_over_the_tasks_are_those_of_methods_that_were_measured_on_all(tmp_path, capsys):
+    """By hand: means over two tasks of 0.5 and 0.25, and of a cost of 2 and 5, each of two seeds."""
+    both = {"task": "scratch"}, {"task": "feeding"}
+    means = ([0.25, 0.75], [1.0, 3.0]), ([0.0, 0.5], [4.0, 6.0])
+    ours = [
+        harmed(write_run(tmp_path / f"a{i}", [[1, 2], [1, 2]], **task), *mean)
+        for i, (task, mean) in enumerate(zip(both, means, strict=True))
+    ]
+    theirs = [write_run(tmp_path / f"b{i}", [[1, 2], [1, 2]], algorithm="mappo", **task) for i, task in enumerate(both)]
+    harmed(theirs[0], *means[0])  # and not on the other
+    ippo, mappo = comparison.aggregates(pooled(*ours, *theirs), RECORDS)
+    assert ippo["safe_success"]["mean"] == 0.375 and ippo["cost"]["mean"] == 3.5
+    low, high = ippo["cost"]["mean_ci"]
+    assert 0.0 <= low < 3.5 < high
+    assert ippo["safe_success"]["mean_ci"][0] >= 0.0 and ippo["safe_success"]["mean_ci"][1] <= 1.0
+    assert mappo["success"]["mean"] == 0.5 and "safe_success" not in mappo and "cost" not in mappo
+    cli.table((tmp_path,), markdown=True)
+    text = capsys.readouterr().out
+    assert "success, mean [95 %] | safe success, mean [95 %] | cost, mean [95 %] |" in text
+    assert "| 50% | 38% [" in text and "| 50% |  |  |\n" in text
 
 
 def test_intervals_stay_where_the_quantity_can_be(tmp_path):
@@ -419,6 +458,14 @@ def test_versions_of_the_tasks_are_not_put_together(tmp_path):
     for version, height in enumerate((0.5, 1.0)):
         assert [list(line.get_ydata()) for line in by_task[f"all 2 tasks, version {version}"]] == [[height] * 3] * 2
     assert list(panels("algorithm")) == [f"{name}, version {n}" for n in (0, 1) for name in ("ippo", "mappo")]
+
+
+def test_safe_success_of_all_tasks_has_a_panel(tmp_path):
+    runs = [write_run(tmp_path / task, [1, 2, 3], task=task) for task in ("scratch", "feeding")]
+    found = pooled(*(harmed(run, [share], [0.0]) for run, share in zip(runs, (0.25, 0.75), strict=True)))
+    whole = figures.learning_curves(found, RECORDS, metric="safe_success").axes[-1]
+    assert whole.get_title() == "all 2 tasks" and whole.get_ylabel() == "safe success, evaluation episodes, IQM"
+    assert list(drawn(whole)[0][0].get_ydata()) == [0.5] * 3
 
 
 def test_one_seed_is_drawn_without_a_band_and_preferences_in_a_row_of_their_own(tmp_path):

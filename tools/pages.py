@@ -301,8 +301,9 @@ def _rows(report, preset: str | None) -> dict[str, list[dict]]:
 RESULTS_PAGE = """# Trained teams
 
 Returns and success over the evaluation seeds at the end of training, deterministic, with 95 % intervals over training
-seeds; a row with one seed has none. Written from `results/` by `python tools/pages.py results`;
-[findings.md](findings.md) tells what these teams do.
+seeds; a row with one seed has none. The last columns say when 90 % of the episodes of an evaluation were first a
+success, in version 1 a safe one. Written from `results/` by `python tools/pages.py results`; [findings.md](findings.md)
+tells what these teams do.
 
 ## Version 1
 

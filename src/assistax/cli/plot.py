@@ -19,8 +19,8 @@ def plot(
     """Plot learning curves: means over seeds, with 95 % intervals over them.
 
     By task: a panel per task with a curve per algorithm, and one for all tasks together (interquartile mean of
-    normalised returns); for each kind of person, as with and without preferences. By algorithm: a
-    panel per algorithm with a curve per task.
+    normalised returns, or of success or safe success); for each version of the tasks and each kind of person, as with
+    and without preferences. By algorithm: a panel per algorithm with a curve per task.
 
     For example:
       assistax plot runs/scratch-ippo-0 runs/scratch-mappo-0
@@ -31,7 +31,7 @@ def plot(
       runs: run folders, or folders of finished ones, at any depth (default: results and runs). Sub-folders trials
         and ablations hold what was tried on the way and count only if they are named.
       by: what a panel is for: task or algorithm.
-      metric: return, success, peak_force, task_return, preference_return or another that all runs have.
+      metric: return, success, safe_success, peak_force, task_return, preference_return or another that all runs have.
       source: evaluation or training episodes (default: evaluation where there is any).
       scale: how returns of several tasks are put together: bound, expert or minmax (default: minmax where all have
         it, else bound).

@@ -18,6 +18,11 @@ from assistax.tasks import stored_task, task_spec
 
 REFERENCES = Path("results/experts.json")  # what scripted policies reach, written by `tools/pages.py`
 LEARNED = 0.9  # of the episodes a success, in an evaluation while training
+OUTCOMES = {  # of the last evaluations beside the return: where they stand in a summary, and the most they can be
+    "success": (("success_rate",), 1.0),
+    "safe_success": (("safe_success_rate",), 1.0),
+    "cost": (("outcomes", "cost", "mean"), np.inf),
+}
 SCALES = {  # of a return
     "bound": "return / paper's bound",
     "expert": "return / expert's return",
@@ -113,11 +118,7 @@ def describe(experiment: Experiment, records: Sequence[dict[str, Any]]) -> dict[
         row[f"of_{kind}"] = None if ends is None else float(returns.mean() / ends[1])
     if experiment.preferring:
         row |= {name: estimate([experiment.final(name, "mean")]) for name in ("task_return", "preference_return")}
-    row["success"] = estimate([experiment.final("success_rate")], least=0.0, most=1.0)
-    if experiment.has("safe_success_rate"):
-        row["safe_success"] = estimate([experiment.final("safe_success_rate")], least=0.0, most=1.0)
-    if experiment.has("outcomes", "cost"):
-        row["cost"] = estimate([experiment.final("outcomes", "cost", "mean")], least=0.0)
+    row |= outcomes([experiment])
     row["learned"] = learned(experiment)
     row["force_in_contact"] = estimate([experiment.final("force", "mean_in_contact")], least=0.0)
     row["peak_force"] = estimate([experiment.final("outcomes", "peak_force", "mean")], least=0.0)
@@ -126,23 +127,33 @@ def describe(experiment: Experiment, records: Sequence[dict[str, Any]]) -> dict[
     return row | {"settings": runs[0].settings, "runs": [str(run.folder) for run in runs], **about}
 
 
+def outcomes(tasks: Sequence[Experiment]) -> dict[str, Any]:
+    """An `estimate` of each of OUTCOMES that all runs have."""
+    return {
+        name: estimate([e.final(*where) for e in tasks], least=0.0, most=most)
+        for name, (where, most) in OUTCOMES.items()
+        if all(e.has(*where) for e in tasks)
+    }
+
+
 def learned(experiment: Experiment) -> list[dict[str, float]]:
-    """By seed that came there, when evaluations first had LEARNED of success: "steps", and "minutes" of training, of
-    which the seeds of a run have equal shares."""
-    found = []
+    """By seed that came there, when evaluations first had LEARNED of success, where harm was measured of safe success:
+    "steps", and "minutes" of training, of which the seeds of a run have equal shares."""
+    found, name = [], "safe_success" if experiment.has("safe_success_rate") else "success"
     for run in experiment.runs:
         seconds = sum(time for name, time in run.summary.get("seconds", {}).items() if name != "evaluation")
         trained = len(run.seeds) * run.summary.get("steps", experiment.method.steps)
         for seed in run.seeds:
             rows = [row for row in run.rows("evaluations") if row["seed"] == seed]
-            steps = [row["steps"] for row in rows if np.mean(row["episodes"].get("success", 0.0)) >= LEARNED]
+            steps = [row["steps"] for row in rows if np.mean(row["episodes"].get(name, 0.0)) >= LEARNED]
             if steps:
                 found.append({"steps": min(steps), "minutes": seconds / 60.0 * min(steps) / trained})
     return found
 
 
 def aggregates(found: Sequence[Experiment], records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Per version, person and method with two tasks and more: returns on each of SCALES over the tasks that have it."""
+    """Per version, person and method with two tasks and more, over the tasks: returns on each of SCALES and each of
+    OUTCOMES that all of them have."""
     rows = []
     for (version, person, method), each in by_method(found).items():
         if len(each) < 2:
@@ -152,7 +163,7 @@ def aggregates(found: Sequence[Experiment], records: Sequence[dict[str, Any]]) -
         for kind in SCALES:
             ends = scales(each, kind, records)
             row[kind] = ends and estimate([(e.final("mean_return") - a) / (b - a) for e, (a, b) in ends.items()])
-        rows.append(row)
+        rows.append(row | outcomes(each))
     return rows
 
 
@@ -214,33 +225,34 @@ def tables(results: dict[str, Any]) -> list[Table]:
     rows = results["experiments"]
     head = ["task", *_METHOD, "seeds", "return [95 %]", "of the bound", "of the expert"]
     apart = [name for name in ("task_return", "preference_return") if any(name in row for row in rows)]
-    head += [name.replace("_", " ") for name in apart] + ["success"]
-    harm = [name for name in ("safe_success", "cost") if any(name in row for row in rows)]
-    head += [name.replace("_", " ") for name in harm] + ["force in contact, N", "peak force, N"]
+    shown = _shown(rows)
+    head += [name.replace("_", " ") for name in (*apart, *shown)] + ["force in contact, N", "peak force, N"]
     head += [f"{LEARNED:.0%} at, M steps", "minutes to it"]
     cells = []
     for row in rows:
         n = len(row["seeds"])
         fractions = [_percent(row[f"of_{kind}"]) or "–" for kind in ("bound", "expert")]
         cell = [row["task"], *_method(row), str(n), _estimate(row["return"], n), *fractions]
-        cell += [_estimate(row.get(name), n) for name in apart] + [_estimate(row["success"], n, _percent)]
-        words = {"safe_success": _percent, "cost": "{:.1f}".format}
-        cell += [_estimate(row.get(name), n, words[name]) for name in harm]
+        cell += [_estimate(row.get(name), n) for name in apart] + _outcomes(row, shown, n)
         cell += [_estimate(row[name], n, "{:.1f}".format) for name in ("force_in_contact", "peak_force")]
         cells.append([*cell, _median(row["learned"], "steps", 1e-6, n), _median(row["learned"], "minutes", 1.0, n)])
     found.append((head, cells))
     if rows := results["aggregates"]:
+        shown = _shown(rows)
         head = [
             "version",
             "tasks",
             *_METHOD,
             "seeds",
             *(f"{kind}, IQM [95 %]" for kind in ("of the bound", "of the expert", "min-max")),
+            *(f"{name.replace('_', ' ')}, mean [95 %]" for name in shown),
         ]
         cells = []
         for row in rows:
-            scores = [_estimate(row[kind], min(row["seeds"]), _percent, "iqm") or "–" for kind in SCALES]
-            cells.append([str(row["version"]), str(len(row["tasks"])), *_method(row), _seeds(row["seeds"]), *scores])
+            few = min(row["seeds"])
+            scores = [_estimate(row[kind], few, _percent, "iqm") or "–" for kind in SCALES]
+            cell = [str(row["version"]), str(len(row["tasks"])), *_method(row), _seeds(row["seeds"]), *scores]
+            cells.append(cell + _outcomes(row, shown, few))
         found.append((head, cells))
     if rows := results.get("comparisons"):
         cells = []
@@ -266,6 +278,16 @@ _METHOD = ("algorithm", "preset", "person", "M steps")
 def _method(row: dict[str, Any]) -> list[str]:
     name = row["algorithm"] + f" ({row['note']})" * bool(row["note"])
     return [name, row["preset"], row["person"], f"{row['steps'] / 1e6:g}"]
+
+
+def _shown(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """Those of OUTCOMES that a row has."""
+    return [name for name in OUTCOMES if any(name in row for row in rows)]
+
+
+def _outcomes(row: dict[str, Any], shown: Sequence[str], seeds: int) -> list[str]:
+    words = {name: "{:.1f}".format if name == "cost" else _percent for name in shown}
+    return [_estimate(row.get(name), seeds, words[name]) for name in shown]
 
 
 def _name(method: dict[str, Any]) -> str:

@@ -147,7 +147,7 @@ def _fold(row: Sequence[Panel]) -> list[Sequence[Panel]]:
 
 def _normalised(curves: dict[Experiment, Curve], records, metric: str, kind: str | None):
     """(Curves on a scale on which tasks can be put together, words for it), (None, "") if there is no such scale."""
-    if metric == "success":
+    if metric in ("success", "safe_success"):
         return curves, ""
     if metric != "return":
         return None, ""

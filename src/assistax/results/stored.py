@@ -318,7 +318,8 @@ def curve(experiment: Experiment, metric: str, source: str) -> tuple[np.ndarray,
             for row in run.rows(name):
                 values = row["episodes" if source == "evaluation" else "episode"]
                 if source == "evaluation" or row["episodes"]:
-                    seeds[row["seed"]][row["steps"]] = float(np.mean(values[choose("metric", metric, values)]))
+                    choose(f"metric of {run.folder}", metric, values)
+                    seeds[row["seed"]][row["steps"]] = float(np.mean(values[metric]))
         except (KeyError, TypeError) as error:
             raise UsageError(f"{run.folder}/{name}.jsonl has a row that does not fit: {error}.") from None
     common = sorted(set.intersection(*map(set, seeds.values())))
