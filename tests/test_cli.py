@@ -51,12 +51,25 @@ def checkpoint(folder):
 def test_a_run_folder_holds_what_it_promises(run):
     summary = json.loads((run / "summary.json").read_text())
     wanted = {"task", "algorithm", "preset", "steps", "seeds", "success_rate", "mean_return"}
+    wanted |= {"safe_success_rate"}
     assert wanted | {"env_steps_per_s", "hardware", "versions", "commit"} <= set(summary)
     assert summary["steps"] == 640 and summary["task"] == "scratch-v1"
     rows = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     assert [row["steps"] for row in rows] == [64 * i for i in range(1, 11)]
     for name in ("learning_curve.png", "rollout.mp4", "config.json"):
         assert (run / name).stat().st_size > 500
+
+
+@pytest.mark.parametrize(("harm", "words"), [({}, "92%"), ({"safe_success_rate": 0.9}, "92%, safely 90%")])
+def test_harm_stands_beside_success(harm, words, tmp_path, monkeypatch):
+    found = {"success_rate": 0.92, "mean_return": 1.0, "env_steps_per_s": 1, "force": {"mean_in_contact": 1, "peak": 2}}
+    monkeypatch.setattr("assistax.training.loop.train", lambda run, log: found | harm)
+    last = assistax("train", "scratch", "--out", tmp_path / "run", *SMALL).stdout
+    assert f"success {words} over 4 evaluation episodes" in last
+    monkeypatch.setattr("assistax.evaluation.playing.play", lambda *_: {})
+    monkeypatch.setattr("assistax.evaluation.playing.summarize", lambda _: found | harm)
+    monkeypatch.setattr(sys.modules["assistax.cli.play"], "film_episode", lambda *_: None)
+    assert f"success        {words}\n" in assistax("play", "scratch").stdout
 
 
 def test_evaluate_as_json(run):

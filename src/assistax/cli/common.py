@@ -126,6 +126,12 @@ def print_json(report: Any) -> None:
     print(json.dumps(report, indent=2))
 
 
+def share_of_success(report: dict[str, Any]) -> str:
+    """ "92%", and where harm is measured "92%, safely 90%"."""
+    safely = f", safely {report['safe_success_rate']:.0%}" if "safe_success_rate" in report else ""
+    return f"{report['success_rate']:.0%}{safely}"
+
+
 def print_table(report: dict[str, Any], indent: str = "") -> None:
     """A report for people: a line for each number, pairs as intervals."""
     for name, value in report.items():

@@ -2,7 +2,18 @@
 
 import sys
 
-from assistax.cli.common import Count, File, Name, Set, Switch, Task, film_episode, film_path, teams_of
+from assistax.cli.common import (
+    Count,
+    File,
+    Name,
+    Set,
+    Switch,
+    Task,
+    film_episode,
+    film_path,
+    share_of_success,
+    teams_of,
+)
 
 
 def play(
@@ -35,7 +46,7 @@ def play(
     found = summarize(result)
     force = found["force"]
     print(f"{env.name}, the trained team, {episodes} episodes of {env.episode_length * env.dt:g} s")
-    print(f"success        {found['success_rate']:.0%}")
+    print(f"success        {share_of_success(found)}")
     print(f"return         {found['mean_return']:.0f}")
     print(f"force          {force['mean_in_contact']:.1f} N in contact, {force['peak']:.0f} N at most")
     film_episode(result, path, plain)

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from assistax.cli.common import File, Name, Number, Partner, Set, Switch, Words, free_folder
+from assistax.cli.common import File, Name, Number, Partner, Set, Switch, Words, free_folder, share_of_success
 from assistax.errors import UsageError
 
 
@@ -107,7 +107,7 @@ def train(
         print(f"Stopped and saved. Continue with: assistax train --resume {run.folder}", file=sys.stderr)
         sys.exit(130)
     print(
-        f"return {summary['mean_return']:.0f}, success {summary['success_rate']:.0%} over "
+        f"return {summary['mean_return']:.0f}, success {share_of_success(summary)} over "
         f"{run.config.evaluation_episodes} evaluation episodes, played without noise (the bar's are of "
         f"training, with noise), {summary['env_steps_per_s']} env steps/s. "
         f"See {run.folder}/learning_curve.png and rollout.mp4."

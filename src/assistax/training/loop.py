@@ -267,8 +267,11 @@ class _Training:
             "steps": steps,
             "num_envs": config.num_envs,
             "seeds": list(config.seeds),
-            "success_rate": float(np.mean([one["success_rate"] for one in each])),
-            "mean_return": float(np.mean([one["mean_return"] for one in each])),
+            **{
+                name: float(np.mean([one[name] for one in each]))
+                for name in ("success_rate", "safe_success_rate", "mean_return")
+                if name in each[0]  # harm is not measured in version 0
+            },
             "env_steps_per_s": round(steps * config.num_seeds / max(sum(spent.values()), 1e-9)),
             "seconds": {name: round(value, 1) for name, value in spent.items() if value},
             "peak_memory_mb": round(peak_memory_mb()),
