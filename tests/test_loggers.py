@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from assistax.errors import UsageError
-from assistax.training.loggers import Loggers, check_loggers
+from assistax.training.loggers import LOGGERS, Loggers, check_loggers
 
 ROW = {"steps": 64, "seconds": 1.5, "seed": 3, "episodes": 2, "episode": {"return": 5.0, "success": 0.5},
        "losses": {"robot": {"policy": -0.25}}}  # fmt: skip
@@ -51,6 +51,20 @@ def test_wandb_is_told_offline_and_goes_on_with_the_same_run(tmp_path, monkeypat
     # Not the folders' names: wandb numbers them where two begin within a second.
     parts = [path.name for path in (tmp_path / "wandb").glob("offline-run-*/run-*.wandb")]
     assert parts == ["run-" + (tmp_path / "wandb-id.txt").read_text() + "-3.wandb"] * 2
+
+
+def test_the_film_goes_to_all_loggers_of_the_seed_that_it_is_of(tmp_path, monkeypatch):
+    shown = []
+
+    class Recorder:
+        def __init__(self, folder, seed, steps, config):
+            self.film = lambda steps, path: shown.append((seed, steps, path))
+            self.close = lambda: None
+
+    monkeypatch.setitem(LOGGERS, "wandb", Recorder)
+    with Loggers(["tensorboard", "wandb"], tmp_path, [3, 4], 0, {}) as log:
+        log.film(64, tmp_path / "rollout.mp4")
+    assert shown == [(3, 64, tmp_path / "rollout.mp4")]
 
 
 def test_a_logger_that_is_not_there_is_one_line(monkeypatch):

@@ -117,8 +117,8 @@ class Loggers:
                 logger.numbers(row["steps"], dict(_numbers(row)))
 
     def film(self, steps: int, path: Path) -> None:
-        """Of the trained team, to the first seed's first logger."""
-        for logger in self._all()[:1]:
+        """Of the first seed's trained team, to its loggers."""
+        for logger in next(iter(self._by_seed.values())):
             logger.film(steps, path)
 
     def _all(self) -> list[Logger]:
