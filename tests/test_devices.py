@@ -8,10 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from stored import small, stored_run
 
 from assistax.devices import by_environment, check_devices, part_of_batch
 from assistax.errors import UsageError
 from assistax.training.configuration import TrainConfig
+from assistax.training.loop import train
+from assistax.training.run import Run
+from assistax.training.sweep import Sweep
 
 # Trainings of one seed in one process: on one device, on two, on two again, and on two beside another seed.
 TRAININGS = """
@@ -72,6 +76,33 @@ for devices in (1, 2):
 print(json.dumps(rolled))
 """
 
+# A run of two iterations on the first number of devices, continued for one on each of the others.
+RUNS = """
+import json, sys
+from pathlib import Path
+import jax
+from stored import small, train_without_pictures
+from assistax.training import loop
+from assistax.training.run import Run
+
+save, used = loop._Training._save, []
+
+def noting(self, state, done):
+    used.append(max(len(x.sharding.device_set) for x in jax.tree.leaves(state)))
+    save(self, state, done)
+
+loop._Training._save = noting
+folder, (first, *others) = Path(sys.argv[1]), json.loads(sys.argv[2])
+config = small(steps=128, settings={"devices": first, "evaluations": 2, "evaluation_episodes": 4})
+summaries = [train_without_pictures(Run.create(config, folder))]
+for i, devices in enumerate(others, 3):
+    summaries.append(train_without_pictures(Run.open(folder, {"devices": devices}, steps=64 * i)))
+rows = [json.loads(line) for line in (folder / "metrics.jsonl").read_text().splitlines()]
+played = [json.loads(line) for line in (folder / "evaluations.jsonl").read_text().splitlines()]
+print(json.dumps([used, [one["steps"] for one in summaries], [one["reward"] for one in rows],
+                  {one["steps"]: one["episodes"]["return"] for one in played}]))
+"""
+
 
 def on_devices(count: int, code: str, *words: str):
     """What a process prints as JSON that has so many devices."""
@@ -108,6 +139,18 @@ def test_two_devices_step_a_task_by_warp_as_one_does():
         np.testing.assert_allclose(a, b, rtol=1e-4, atol=1e-4)
 
 
+@pytest.mark.slow
+def test_a_run_is_trained_evaluated_saved_and_continued_on_another_number_of_devices(tmp_path):
+    used, steps, rewards, returns = on_devices(2, RUNS, str(tmp_path / "a"), "[2, 1]")
+    assert used == [2, 2, 1] and steps == [128, 192]  # the first is saved before it begins, too
+    assert list(returns) == ["64", "128", "192"] and all(len(one) == 4 for one in returns.values())
+    _, _, alone, played = on_devices(1, RUNS, str(tmp_path / "b"), "[1, 1]")
+    for ours, theirs in zip(rewards, alone, strict=True):
+        assert ours == pytest.approx(theirs, rel=1e-3, abs=1e-4)
+    for at, theirs in played.items():
+        np.testing.assert_allclose(returns[at], theirs, rtol=1e-3)
+
+
 def test_one_device_has_everything():
     x = np.arange(6.0).reshape(3, 2)
     np.testing.assert_array_equal(by_environment(lambda k, row: k * row, whole=1)(2.0, x), 2.0 * x)
@@ -125,3 +168,20 @@ def test_devices_that_are_not_there_and_environments_that_do_not_divide_are_name
         TrainConfig("scratch", "masac", devices=2)
     with pytest.raises(UsageError, match="devices must be 1 or more, not 0"):
         TrainConfig("scratch", devices=0)
+
+
+def test_devices_that_cannot_be_leave_nothing_behind(tmp_path):
+    asked = small(settings={"devices": 3, "evaluations": 1})
+    with pytest.raises(UsageError, match="devices = 3, and there are 1 on this machine"):
+        Run.create(asked, tmp_path / "run")
+    with pytest.raises(UsageError, match="devices = 3, and a sweep trains on one; leave it out"):
+        Sweep.create(asked, tmp_path / "sweep", 1, {"ppo.gamma": "0.9,0.99"})
+    assert not list(tmp_path.iterdir())
+    begun = stored_run(tmp_path / "run", small())  # by another machine, which has three
+    changed = json.loads((begun.folder / "config.json").read_text()) | {"devices": 3}
+    (begun.folder / "config.json").write_text(json.dumps(changed))
+    files = {path: path.read_bytes() for path in begun.folder.rglob("*") if path.is_file()}
+    found = Run.open(begun.folder)  # it plays here all the same
+    with pytest.raises(UsageError, match="devices = 3, and there are 1 on this machine"):
+        train(found)
+    assert files == {path: path.read_bytes() for path in begun.folder.rglob("*") if path.is_file()}

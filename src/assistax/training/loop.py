@@ -61,7 +61,7 @@ def train(
     check_loggers(log)
     if not (run.folder / "checkpoints").is_dir():
         raise UsageError(f"{run.folder} is a result without checkpoints, which cannot continue; train anew with --out.")
-    check_devices(run.config.devices, run.config.num_envs)
+    check_devices(run.config.devices, run.config.num_envs)  # again, for a run that another machine may have begun
     with locked(run.folder), sharing(run.config.devices):
         return _Training(run, Stop(seconds), log, bar, pictures).go()
 

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from assistax.devices import check_devices
 from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.files import read_json, write_json
@@ -53,12 +54,13 @@ class Run:
 
     @classmethod
     def create(cls, config: TrainConfig, folder: Path, players: Mapping[str, Player] | None = None) -> "Run":
-        """Make the folder; it must be new or empty."""
+        """Make the folder; it must be new or empty. Raises UsageError for what cannot be trained here."""
         given = tuple(f"{agent}={GIVEN}" for agent in players or {})
         config = dataclasses.replace(config, partners=config.partners + given)
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise UsageError(f"{folder} is already in use; name another --out, or continue it with --resume {folder}.")
         run = cls(folder, dataclasses.replace(config, partner_copies=()), players)
+        check_devices(config.devices, config.num_envs)
         check_memory(run.trainer, config.num_seeds)
         try:
             (folder / "checkpoints").mkdir(parents=True)

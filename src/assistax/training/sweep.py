@@ -95,6 +95,8 @@ class Sweep:
         sweep = cls(folder, config, search, draw(search, count, config.seed))
         for run in set(sweep._runs.values()):
             check_memory(run.trainer)
+            if run.config.devices > 1:
+                raise UsageError(f"devices = {run.config.devices}, and a sweep trains on one; leave it out.")
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
