@@ -65,9 +65,19 @@ def test_nothing_begins_after_the_budget_but_the_first(tmp_path, monkeypatch):
     wanted = plan(["feeding-v1"], "auto", (4, 2, 1), False, "default")
     path = tmp_path / "here.json"
     measure(wanted, path, 1.0, -1.0, said.append)
-    assert made == wanted[:1] and said[-1] == "2 of 3 are left for another call."
+    assert made == wanted[:1] and said[-1].startswith("The budget is spent; the same command ")
+    assert said[-1].endswith("measures the 2 of 3 that are left.")
     measure(wanted, path, 1.0, -1.0, said.append)
     assert made == wanted[:2]
+    measure(wanted, None, 1.0, -1.0, said.append)
+    assert made[2:] == wanted[:1] and "; with --out FILE another call can measure the 2 of 3 " in said[-1]
+
+
+def test_json_is_all_that_is_printed_and_what_is_left_is_said_beside_it(monkeypatch, capsys):
+    counted(monkeypatch)
+    bench("feeding", num_envs=(4, 2), budget="0.000001s", seconds=1.0, json=True)
+    printed = capsys.readouterr()
+    assert len(json.loads(printed.out)["rows"]) == 1 and "the 1 of 2 that are left" in printed.err
 
 
 def test_files_of_other_code_are_not_gone_on_with(tmp_path, monkeypatch):

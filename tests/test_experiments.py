@@ -69,6 +69,19 @@ def test_an_executor_does_what_is_missing(tmp_path, monkeypatch):
         assistax("reproduce", "--budget", "9m", "--processes", 2)
 
 
+def test_a_budget_too_short_for_one_says_how_far_it_is(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refusing, short, long = Refusing("damaged", 1), Counting("short", 1), Counting("long", 8)
+
+    def last(*chosen):
+        monkeypatch.setattr(all_experiments, "experiments", lambda seeds: chosen)
+        return assistax("reproduce", "--budget", "5s").stdout.splitlines()[-1]
+
+    assert last(refusing, long) == "finished 0, 2 left: long is 12.5% done, and the same command continues it"
+    assert last(refusing, short, long) == "finished 1, 2 left"
+    assert last(refusing) == "finished 0, 1 left"  # nothing has begun
+
+
 class Refusing(Counting):
     def advance(self, work: Path, seconds: float):
         raise UsageError(f"{self.name} cannot be.")

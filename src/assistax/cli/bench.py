@@ -1,6 +1,8 @@
 """`assistax bench`."""
 
 import math
+import sys
+from functools import partial
 from typing import Annotated
 
 import tyro
@@ -43,7 +45,7 @@ def bench(
       profile: instead of rates, the microseconds of each stage of a physics step and of each part of a control step;
         of one task, engine mujoco.
       preset: of the training, default or paper.
-      budget: begin nothing new after 90s, 8m or 1h.
+      budget: begin nothing new after 90s, 8m or 1h, but for the first of what is missing.
       out: a JSON file for what is measured, with a figure beside it; a later call makes what it lacks.
       json: print JSON.
     """
@@ -62,8 +64,9 @@ def bench(
         return _profile(task, engine, num_envs[0] if num_envs else 1024, seconds, json)
     tasks = newest_tasks() if task is None else [task_spec(task).id]
     wanted = plan(tasks, engine, num_envs if all or num_envs else (1024,), train or all, preset)
-    several = len(wanted) > 1 and not json
-    report = measure(wanted, out, seconds, limit, say=print if several else lambda line: None)
+    say = partial(print, file=sys.stderr if json else sys.stdout, flush=True)
+    several = len(wanted) > 1
+    report = measure(wanted, out, seconds, limit, say if several else lambda line: None)
     if out is not None:
         from assistax.diagnostics.figure import speeds
         from assistax.results.figures import save

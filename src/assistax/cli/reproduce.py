@@ -26,7 +26,8 @@ def reproduce(
       assistax reproduce --budget 9m --only "version1/*-ippo-default-*M-?"
 
     Args:
-      budget: how long to work: 90s, 9m or 1.5h. What is missing is done in the order of the list.
+      budget: how long to work: 90s, 9m or 1.5h. What is missing is done in the order of the list; what does not get
+        finished is continued by the next call.
       only: experiments whose name contains this; * and ? stand for anything.
       seeds: of each training, instead of the one to five that the list has of it (the paper has 16).
       processes: do all that is missing, in so many processes side by side; instead of a budget. Choose trainings with
@@ -70,5 +71,7 @@ def reproduce(
             state = "done" if fraction == 1.0 else f"{fraction:.0%}" if fraction else "missing"
             print(f"{experiment.name:56} {experiment.shows:16} {state}")
         return
-    left = sum(fraction < 1.0 for _, fraction in status(chosen, results, work))
-    print(f"finished {len(finished)}, {left} left")
+    left = [(one, fraction) for one, fraction in status(chosen, results, work) if fraction < 1.0]
+    begun = next((f"{one.name} is {fraction:.1%} done" for one, fraction in left if (work / one.name).exists()), "")
+    goes_on = f": {begun}, and the same command continues it" if begun and not finished else ""
+    print(f"finished {len(finished)}, {len(left)} left{goes_on}")

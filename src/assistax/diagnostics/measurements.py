@@ -135,7 +135,8 @@ def measure(
     deadline = time.perf_counter() + budget
     for i, one in enumerate(missing):
         if i and time.perf_counter() > deadline:
-            say(f"{len(missing) - i} of {len(wanted)} are left for another call.")
+            how = "the same command measures" if path is not None else "with --out FILE another call can measure"
+            say(f"The budget is spent; {how} the {len(missing) - i} of {len(wanted)} that are left.")
             break
         row = one.measure(seconds)
         report["rows"].append(row)
