@@ -9,17 +9,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from commands import assistax as assistax_command
+from scipy.stats import ttest_ind
 from stored import stored_run
 
 import assistax
 from assistax.errors import UsageError
-from assistax.evaluation.statistics import crossed_ci
+from assistax.evaluation.statistics import crossed_ci, gap_ci
 from assistax.human import Person
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.policies import Player, scripted_policy
 from assistax.teamwork.adaptation import Series, about, probe, slope, summarize_series
-from assistax.teamwork.adhoc import Meeting, Scale, gap, summarize
+from assistax.teamwork.adhoc import Meeting, Scale, by_pair, gap, only, scales, summarize
 from assistax.teamwork.report import picture, report
+from assistax.teamwork.strangers import knows
 from assistax.teamwork.validity import judge, with_robots
 from assistax.training import splits
 from assistax.training.configuration import configure
@@ -84,7 +86,7 @@ def test_scores_are_between_who_knows_nobody_and_who_knows_them():
     assert scale.zero.tolist() == [3, 5, 2] and scale.one.tolist() == [7, 5.1, 4]
     assert scale.scored.tolist() == [True, False, True]  # the second knows nobody and is as good
     robots = [{"return": np.array([[5.0], [5.0], [2.0]])}, {"return": np.array([[7.0], [5.0], [4.0]])}]
-    found = summarize(robots, scale)
+    found = summarize(by_pair(robots, {"score": scale}))
     assert found["score"]["by_partner"] == [0.75, 0.5] and found["score"]["mean"] == 0.625
     assert found["score"]["by_seed"] == [0.25, 1.0] and found["return"]["worst"] == 3.0
     assert not Scale.of({k: references[k] for k in returns}).scored.any()
@@ -101,7 +103,7 @@ def test_the_picture_needs_no_score(tmp_path):
 
 def test_intervals_of_rates_are_of_rates():
     robots = [{"success": np.array([[1.0], [0.0], [1.0]]), "return": np.array([[1.0], [0.0], [1.0]])}]
-    found = summarize(robots)
+    found = summarize(by_pair(robots))
     assert found["success"]["ci"] == (0.0, 1.0)
     assert found["return"]["ci"][0] < 0.0 and found["return"]["ci"][1] > 1.0
 
@@ -109,9 +111,35 @@ def test_intervals_of_rates_are_of_rates():
 def test_preferences_count_only_with_success():
     one = {"return": np.ones((2, 2)), "success": np.array([[1.0, 0.0], [1.0, 1.0]])}
     one["preference_return"] = np.array([[10.0, 100.0], [20.0, 40.0]])
-    found = summarize([one])
-    assert found["gated_preference_return"]["by_partner"] == [5.0, 30.0]
-    assert gap(found, summarize([one | {"return": np.zeros((2, 2))}]))["return"] == 1.0
+    found = by_pair([one])
+    assert summarize(found)["gated_preference_return"]["by_partner"] == [5.0, 30.0]
+    assert gap(found, by_pair([one | {"return": np.zeros((2, 2))}]))["return"] == {"mean": 1.0, "ci": None}
+
+
+def test_a_score_of_its_own_counts_preferences_only_with_success():
+    """One partner, two episodes, 100 of task return in each that succeeds; the robot pleases and does not help."""
+
+    def robot(success, pleasing):
+        success, pleasing = np.array([success], float), np.array([pleasing], float)
+        return {"return": 100.0 * success + pleasing, "success": success, "preference_return": pleasing}
+
+    nobody = {name: robot([0, 0], [0, 0]) for name in ("still", "random", "expert")}
+    scale = scales(nobody | {"own": robot([1, 1], [20, 20])})
+    found = summarize(by_pair([robot([0, 1], [150, 10])], scale))
+    assert found["score"]["mean"] == pytest.approx(130 / 120)
+    assert found["gated_score"]["mean"] == pytest.approx(55 / 120)
+    assert list(scales({name: {"return": np.ones((1, 2))} for name in (*nobody, "own")})) == ["score"]
+
+
+def test_who_does_not_know_a_partner_is_no_reference_for_it():
+    nobody = {name: {"return": np.array([[1.0], [1.0], [1.0]])} for name in ("still", "random", "expert")}
+    best = only(np.array([True, False, False]), {"return": np.array([[3.0], [9.0], [9.0]])})
+    own = only(np.array([False, True, False]), {"return": np.array([[9.0], [2.0], [9.0]])})
+    scale = Scale.of(nobody | {"best": best, "own": own})
+    np.testing.assert_array_equal(scale.one, [3.0, 2.0, np.nan])
+    assert scale.scored.tolist() == [True, True, False]
+    found = summarize(by_pair([best]))["return"]
+    assert found["by_partner"] == [3.0, None, None] and found["mean"] == 3.0
 
 
 @pytest.mark.parametrize("shape", [(3, 10), (10, 50)])
@@ -124,6 +152,31 @@ def test_coverage_over_seeds_and_partners(shape, spread):
         low, high = crossed_ci(sum(a * x for a, x in zip(spread, effects, strict=True)))
         covered += low <= 0 <= high
     assert 0.9 <= covered / trials <= 0.995
+
+
+@pytest.mark.parametrize("shape", [(3, 14, 5), (10, 50, 20)])
+@pytest.mark.parametrize(
+    "spread", [(1.0, 1.0, 1.0, 0.5), (0.3, 1.0, 0.3, 0.3), (0.1, 0.1, 1.0, 0.1), (0.3, 0.3, 0.3, 1.0)]
+)
+def test_coverage_of_gaps_over_seeds_and_both_kinds_of_partners(shape, spread):
+    """Seeds are better or worse with everybody, and with one kind; so are partners and pairs."""
+    rng, (seeds, *partners) = np.random.default_rng(0), shape
+    covered, trials = 0, 600
+    for _ in range(trials):
+        better, kinds = spread[0] * rng.normal(size=(seeds, 1)), []
+        for number in partners:
+            effects = rng.normal(size=(1, number)), rng.normal(size=(seeds, number)), rng.normal(size=(seeds, 1))
+            kinds.append(better + sum(a * x for a, x in zip(spread[1:], effects, strict=True)))
+        low, high = gap_ci(*kinds)
+        covered += low <= 0 <= high
+    assert 0.92 <= covered / trials <= 0.99
+
+
+def test_a_gap_of_one_seed_is_welchs():
+    a, b = np.array([[1.0, 2.0, 3.0, 6.0]]), np.array([[0.0, 1.0]])
+    welch = ttest_ind(a[0], b[0], equal_var=False).confidence_interval()
+    np.testing.assert_allclose(gap_ci(a, b), (welch.low, welch.high), rtol=1e-3)
+    assert gap_ci(np.ones((3, 4)), np.zeros((3, 2))) is None and gap_ci(np.ones((1, 1)), np.zeros((1, 1))) is None
 
 
 def test_an_interval_of_one_seed_is_over_partners():
@@ -152,12 +205,91 @@ def robots(population, tmp_path_factory):
     return root, made
 
 
-def test_a_partner_of_the_test_is_refused_in_training(robots):
+def parts_of(root, *names):
+    return {part: splits.named(f"{root}/pop:random/{part}")[1] for part in names}
+
+
+def test_robots_that_have_met_a_held_out_partner_are_refused(robots, tmp_path):
+    """As a member, as an earlier self of one, as a run of its own, beside which it learned, or by name."""
     root, made = robots
-    parts = {part: splits.named(f"{root}/pop:random/{part}")[1] for part in ("train", "test")}
+    parts = parts_of(root, "train", "test")
     met = parts["train"].ids[0]
-    with pytest.raises(UsageError, match=f"was trained with {met[:12]}, a partner of the test"):
-        report({"br": [made["br"]]}, parts | {"test": parts["train"]}, episodes=1)
+    for held_out in ("test", "val"):
+        with pytest.raises(UsageError, match=f"was trained with {met[:12]}, a partner of the {held_out}"):
+            report({"br": [made["br"]]}, {"train": parts["train"], held_out: parts["train"]}, episodes=1)
+    assert not any(knows(made["br"], parts["test"]))
+
+    rows = [row | {"id": f"earlier {row['id']}", "fraction": 0.333} for row in parts["train"].rows]
+    earlier = dataclasses.replace(parts["train"], rows=tuple(rows))
+    assert all(knows(made["br"], earlier))
+
+    learned = stored_run(tmp_path / "learned", configure("scratch", SETTINGS))
+    row = {"task": "scratch-v1", "algorithm": "ippo", "seed": 0, "steps": 64, "robot": True}
+    row["person"] = dataclasses.asdict(Person("none", "default"))
+    member = Population.of_teams([(row, learned.teams(deterministic=False)[0])])
+    robot = stored_run(tmp_path / "robot", configure("scratch", SETTINGS, partners=(f"human={tmp_path}/learned",)))
+    other = stored_run(tmp_path / "other", configure("scratch", SETTINGS), seed=1)
+    assert [knows(run, member) for run in (learned, robot, other)] == [[True], [True], [False]]
+
+    people = Population.scripted("scratch-v1", Person("none", "default"), ("shy", "follows"))
+    shy = stored_run(tmp_path / "shy", configure("scratch", SETTINGS, partners=("human=shy",)))
+    assert knows(shy, people) == [True, False] and knows(made["br"], people) == [False, False]
+
+
+def test_nobody_of_the_test_is_there_in_training(robots):
+    """A canary: each member's strength tells who is in the room."""
+    root, made = robots
+    run, parts = made["br"], parts_of(root, "train", "test")
+    state = jax.jit(run.trainer.init)(jax.random.key(0))
+    collect, seen = jax.jit(run.trainer.collect), set()
+    for _ in range(12):
+        seen |= {tuple(np.round(one, 3).tolist()) for one in bodies(state.env_state.person)}
+        state, _ = collect(state)
+    train, test = ({tuple(np.round(one, 3).tolist()) for one in bodies_of(p)} for p in parts.values())
+    assert seen == train and not seen & test
+
+
+def bodies(person):
+    return np.stack([np.asarray(x).reshape(len(person.index), -1)[:, 0] for x in jax.tree.leaves(person.disability)], 1)
+
+
+def bodies_of(population):
+    env = meeting(population, 1).env
+    rows = jnp.arange(len(population))
+    _, states = jax.vmap(env.reset, (0, None, 0))(jax.random.split(jax.random.key(0), len(rows)), 0, rows)
+    return bodies(states.person)
+
+
+def test_best_responses_are_references_for_those_whom_they_know(robots):
+    root, made = robots
+    parts = parts_of(root, "train", "test")
+    found = report({"oracle": [made["oracle"]]}, parts, 1, best_responses={"best": made["br"]})
+    assert {"best 0", "best 1", "own"} < set(found["train"]["references"])
+    assert "best 0" not in found["test"]["references"]
+    assert set(found["gap"]["oracle"]["return"]) == {"mean", "ci"}
+
+
+def test_partners_without_a_robot_are_no_obstacle_to_the_others(population, robots):
+    """People with habits have none: beside them nobody is a reference for 1."""
+    root, made = robots
+    people = Population.scripted("scratch-v1", Person("none", "default"), ("shy",))
+    strangers = [splits.named(f"{root}/pop:random/{part}")[1].ids[0] for part in ("val", "test")]
+    mixed = Population.merge([people, population.select(strangers)])
+    found = report({"oracle": [made["oracle"]]}, {"test": mixed}, episodes=1)["test"]
+    own, still = (found["references"][name]["return"]["by_partner"] for name in ("own", "still"))
+    assert own[0] is None and None not in own[1:] and None not in still
+    alone = report({"oracle": [made["oracle"]]}, {"test": population.select(strangers[1:])}, episodes=1)
+    assert alone["test"]["references"]["own"]["return"]["by_partner"][0] == own[2]
+
+
+def test_a_robot_that_observes_something_else_is_refused_before_anybody_plays(robots, tmp_path, monkeypatch):
+    root, made = robots
+    blind = {k: v for k, v in SETTINGS.items() if "human" not in k}
+    other = stored_run(tmp_path / "other", configure("scratch", blind))
+    monkeypatch.setattr(Meeting, "references", lambda _: pytest.fail("somebody played"))
+    for runs in ([made["br"], other], [other]):
+        with pytest.raises(UsageError, match="observes 40 numbers, but beside these partners 47: its people had no"):
+            report({"mine": runs}, parts_of(root, "test"), episodes=1)
 
 
 def test_the_report_has_everybody(robots, tmp_path):

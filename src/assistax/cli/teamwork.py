@@ -51,7 +51,8 @@ def evaluate(
         print(f"{found['task']}, {len(populations[one])} partners to {one}, {episodes} episodes each, 95 % intervals")
         print(aligned(*table(found, one)), end="\n\n")
     for name, gaps in found.get("gap", {}).items():
-        print(f"{name}: coordination gap {gaps['return']:.1f} of return, {gaps['success']:.0%} of success")
+        returns, success = _gap(gaps["return"], ".1f"), _gap(gaps["success"], ".0%")
+        print(f"{name}: coordination gap {returns} of return, {success} of success")
     if out is not None:
         write_json(out, found)
         picture(found, out.with_suffix(".png"))
@@ -147,6 +148,11 @@ def validity(
     if out is not None:
         write_json(out, found)
         matrix_picture(found, out.with_suffix(".png"))
+
+
+def _gap(one: dict, form: str) -> str:
+    interval = f" [{one['ci'][0]:{form}}, {one['ci'][1]:{form}}]" if one["ci"] else ""
+    return f"{one['mean']:{form}}{interval}"
 
 
 def _check(out: Path | None, part: str = "test") -> None:

@@ -149,23 +149,13 @@ def crossed_ci(scores: np.ndarray) -> Interval | None:
     None where there is nothing to go by: one number, or no spread at all.
     """
     x = np.asarray(scores, np.float64)
-    seeds, partners = x.shape
     if x.size < 2 or np.ptp(x) == 0:
         return None
     if min(x.shape) == 1:
         flat = x.ravel()
         error, freedom = flat.std(ddof=1) / np.sqrt(flat.size), flat.size - 1
     else:
-        by_seed, by_partner, mean = x.mean(1), x.mean(0), x.mean()
-        left = x - by_seed[:, None] - by_partner + mean
-        degrees = np.array([seeds - 1, partners - 1, (seeds - 1) * (partners - 1)])
-        squares = np.array(
-            [
-                partners * ((by_seed - mean) ** 2).sum() / degrees[0],
-                seeds * ((by_partner - mean) ** 2).sum() / degrees[1],
-                (left**2).sum() / degrees[2],
-            ]
-        )
+        squares, degrees = _mean_squares(x)
         total = squares[0] + squares[1] - squares[2]
         freedom = total**2 / (squares**2 / degrees).sum()
         if squares[:2].min() <= squares[2]:  # one of the two components is none
@@ -174,3 +164,49 @@ def crossed_ci(scores: np.ndarray) -> Interval | None:
         error = np.sqrt(total / x.size)
     reach = student_t(freedom) * error
     return float(x.mean() - reach), float(x.mean() + reach)
+
+
+def gap_ci(known: np.ndarray, strange: np.ndarray) -> Interval | None:
+    """95 % interval of mean(known) - mean(strange) for new seeds and new partners of either kind.
+
+    Both are scores [seeds, partners], as in `crossed_ci`, of the same seeds' robots beside partners of two kinds. The
+    variance is that of the seeds' own gaps, which holds what is left of each pair, too, and that of either kind's
+    partners; Student's t has Satterthwaite's degrees of freedom. With one seed it is Welch's interval for new partners
+    of that robot. With normal effects it covers 93 to 98 % at 3 seeds with 14 and 5 partners, and 90 to 98 % at 2.
+
+    None where there is nothing to go by: one number of either kind, or no spread at all.
+    """
+    a, b = np.asarray(known, np.float64), np.asarray(strange, np.float64)
+    seeds, kinds = len(a), (a, b)
+    if max(np.ptp(a), np.ptp(b)) == 0:
+        return None
+    terms = []  # of the variance, each with its degrees of freedom
+    if seeds > 1:
+        terms.append((np.var(a.mean(1) - b.mean(1), ddof=1) / seeds, seeds - 1))
+    for x in kinds:
+        if x.shape[1] < 2:
+            continue
+        if seeds == 1:
+            terms.append((x.var(ddof=1) / x.size, x.size - 1))
+            continue
+        squares, degrees = _mean_squares(x)
+        if squares[1] > squares[2]:
+            terms += [(squares[1] / x.size, degrees[1]), (-squares[2] / x.size, degrees[2])]
+    variance = sum(term for term, _ in terms)
+    if variance <= 0.0:
+        return None
+    freedom = variance**2 / sum(term**2 / degree for term, degree in terms)
+    # Below the least of its parts' it falls only where parts are taken from each other.
+    reach = student_t(max(freedom, min(degree for _, degree in terms))) * np.sqrt(variance)
+    gap = float(a.mean() - b.mean())
+    return gap - float(reach), gap + float(reach)
+
+
+def _mean_squares(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of rows, columns and what is left of each number of x [rows, columns], two or more of each; and their degrees."""
+    rows, columns = x.shape
+    by_row, by_column, mean = x.mean(1), x.mean(0), x.mean()
+    left = x - by_row[:, None] - by_column + mean
+    degrees = np.array([rows - 1, columns - 1, (rows - 1) * (columns - 1)])
+    sums = [columns * ((by_row - mean) ** 2).sum(), rows * ((by_column - mean) ** 2).sum(), (left**2).sum()]
+    return np.array(sums) / degrees, degrees

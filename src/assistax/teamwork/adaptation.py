@@ -26,7 +26,8 @@ from assistax.policies import Player, Policy
 from assistax.settings import check_count
 from assistax.stamp import stamp
 from assistax.teamwork.adhoc import MEASURES
-from assistax.teamwork.report import check_strangers, meeting_env
+from assistax.teamwork.report import meeting_env
+from assistax.teamwork.strangers import check_robots, check_strangers
 from assistax.training.population import Population
 from assistax.training.run import Run
 
@@ -215,7 +216,9 @@ def adaptation(
     Raises:
       UsageError: a run of another task, whose robot did not learn, or that was trained with one of the partners.
     """
-    check_strangers([run for runs in methods.values() for run in runs], {"test": population})
+    runs = [run for some in methods.values() for run in some]
+    check_robots(runs, {"test": population})
+    check_strangers(runs, {"test": population})
     truths, found = about(population), {}
     for name, runs in methods.items():
         seeds = []

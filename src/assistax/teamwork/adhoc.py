@@ -12,14 +12,15 @@ import numpy as np
 from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.evaluation.playing import EVALUATION_SEED, Evaluator
-from assistax.evaluation.statistics import crossed_ci
-from assistax.policies import Player, scripted_policy
+from assistax.evaluation.statistics import crossed_ci, gap_ci
+from assistax.policies import Mixed, Player, scripted_policy
 from assistax.settings import check_count
 from assistax.training.population import Population
 
 MEASURES = ("return", "success", "safe_success", "task_return", "preference_return", "peak_force")
 MEASURES += ("seconds_above_comfort", "clamping", "impact")
 RATES = ("success", "safe_success")
+SCORES = {"score": "return", "gated_score": "gated_return"}  # and what each is of
 NOBODYS = ("still", "random", "expert")  # robots whose best is worth 0
 CONSIDERATE = "considerate"  # the expert told the preferences; shown, and no end of the scale
 WORST = 0.1  # of the partners
@@ -54,8 +55,16 @@ class Meeting:
         """What robots reach that know nobody (NOBODYS), CONSIDERATE, and each partner's own robot ("own")."""
         named = (*NOBODYS, CONSIDERATE) if self.env.config.human.preferring else NOBODYS
         found = {name: self.scripted(name) for name in named}
-        if all(row["robot"] for row in self.population.rows):
-            found["own"] = self(self.population.partner("robot", deterministic=True))
+        with_robot = np.array([row["robot"] for row in self.population.rows])
+        if with_robot.any():
+            kept = self.population.select(
+                [one for one, has in zip(self.population.ids, with_robot, strict=True) if has]
+            )
+            place = np.where(with_robot, np.cumsum(with_robot) - 1, 0)  # of each partner's robot; anybody's for others
+            robots = kept.partner("robot", deterministic=True)
+            found["own"] = only(
+                with_robot, self(Mixed.of_players([robots], np.zeros_like(place), place, by_person=True))
+            )
         return found
 
     def scripted(self, name: str, seed: int = EVALUATION_SEED) -> dict[str, np.ndarray]:
@@ -63,20 +72,28 @@ class Meeting:
         return self(Player(scripted_policy(name, self.env, "robot")), seed)
 
 
+def only(partners: np.ndarray, found: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """What a robot reached with those partners (bool [partners]), and NaN with the others."""
+    return {name: np.where(partners[:, None], x, np.nan) for name, x in found.items()}
+
+
 @dataclass(frozen=True)
 class Scale:
     """Returns as scores by partner: 0 for the best robot that knows nobody, 1 for the best that knows this partner."""
 
     zero: np.ndarray  # [partners]
-    one: np.ndarray  # [partners]
+    one: np.ndarray  # [partners], NaN where nobody knows the partner
 
     @classmethod
-    def of(cls, references: Mapping[str, Mapping[str, np.ndarray]]) -> "Scale":
-        """From `Meeting.references`, and best responses beside them, whatever their names."""
-        means = {name: found["return"].mean(1) for name, found in references.items()}
+    def of(cls, references: Mapping[str, Mapping[str, np.ndarray]], measure: str = "return") -> "Scale":
+        """Of a measure in SCORES; from `Meeting.references` and, whatever their names, best responses beside them.
+
+        A robot knows the partners with whom its returns are numbers, see `only`.
+        """
+        means = {name: _gated(found)[measure].mean(1) for name, found in references.items()}
         zero = np.max([means[name] for name in NOBODYS], 0)
         known = [mean for name, mean in means.items() if name not in (*NOBODYS, CONSIDERATE)]
-        return cls(zero, np.max(known, 0) if known else np.full_like(zero, np.nan))
+        return cls(zero, np.fmax.reduce([np.full_like(zero, np.nan), *known]))
 
     @property
     def scored(self) -> np.ndarray:
@@ -89,34 +106,64 @@ class Scale:
             return np.where(self.scored, (returns - self.zero) / (self.one - self.zero), np.nan)
 
 
-def summarize(seeds: Sequence[Mapping[str, np.ndarray]], scale: Scale | None = None) -> dict[str, Any]:
-    """What one method's robots, a seed each, reach with the same partners; ready for JSON.
+def scales(references: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, Scale]:
+    """By name the Scale of every score that these references give, see SCORES."""
+    there = _gated(next(iter(references.values())))
+    return {name: Scale.of(references, measure) for name, measure in SCORES.items() if measure in there}
+
+
+def by_pair(
+    seeds: Sequence[Mapping[str, np.ndarray]], scales: Mapping[str, Scale] | None = None
+) -> dict[str, np.ndarray]:
+    """Means over episodes, by measure [seeds, partners], of what one method's robots, a seed each, reach.
+
+    With preferences also "gated_preference_return", to which only episodes add in which the task succeeded, and
+    "gated_return" with it in place of the preference return; scores of the partners who are scored.
+    """
+    each = [_gated(one) for one in seeds]
+    found = {name: np.stack([one[name].mean(1) for one in each]) for name in each[0]}
+    for name, scale in (scales or {}).items():
+        if scale.scored.any():
+            found[name] = scale(found[SCORES[name]])[:, scale.scored]
+    return found
+
+
+def summarize(pairs: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """What `by_pair` found of one method, ready for JSON.
 
     Returns:
-      by measure "mean", "ci" (95 %, for new seeds and new partners, see crossed_ci), "by_partner" [partners] and
-      "worst", the mean over the worst tenth of the partners; "gated_preference_return" counts only episodes in which
-      the task succeeded; "score" with a scale, over the partners who are scored.
+      by measure "mean", "ci" (95 %, for new seeds and new partners, see crossed_ci), "by_partner" [partners] (None for
+      those whom a reference does not know) and "worst", the mean over the worst tenth of the partners.
     """
-    found: dict[str, np.ndarray] = {
-        k: np.stack([one[k].mean(1) for one in seeds]) for k in seeds[0]
-    }  # [seeds, partners]
-    if "preference_return" in found:
-        gated = [(one["preference_return"] * one["success"]).mean(1) for one in seeds]
-        found["gated_preference_return"] = np.stack(gated)
-    if scale is not None and scale.scored.any():
-        found["score"] = scale(found["return"])[:, scale.scored]
-    return {name: _measure(name, x) for name, x in found.items()}
+    return {name: _measure(name, x) for name, x in pairs.items()}
 
 
-def gap(train: Mapping[str, Any], test: Mapping[str, Any]) -> dict[str, float]:
-    """The coordination gap by measure: the mean with partners of training, less that with held-out ones."""
-    return {name: train[name]["mean"] - test[name]["mean"] for name in train if name in test}
+def gap(known: Mapping[str, np.ndarray], strange: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """The coordination gap by measure, of what `by_pair` found with partners of training and with held-out ones.
+
+    "mean", of the first less that of the second, and "ci", see gap_ci.
+    """
+    return {
+        name: {"mean": float(x.mean() - strange[name].mean()), "ci": gap_ci(x, strange[name])}
+        for name, x in known.items()
+        if name in strange
+    }
+
+
+def _gated(found: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """With what preferences pay counted only where the task succeeded, if there are preferences."""
+    if "preference_return" not in found:
+        return dict(found)
+    gated = found["preference_return"] * found["success"]
+    whole = found["return"] - found["preference_return"] + gated
+    return {**found, "gated_preference_return": gated, "gated_return": whole}
 
 
 def _measure(name: str, x: np.ndarray) -> dict[str, Any]:
+    everybody, x = x.mean(0), x[:, ~np.isnan(x).any(0)]
     by_partner, interval = x.mean(0), crossed_ci(x)
     number = max(1, round(WORST * len(by_partner)))
-    low = name in ("return", *RATES, "score")
+    low = name in ("return", "gated_return", *RATES, *SCORES)
     worst = np.sort(by_partner)[:number] if low else np.sort(by_partner)[-number:]
     if interval is not None and name in RATES:  # Student's t knows no bounds
         interval = max(interval[0], 0.0), min(interval[1], 1.0)
@@ -124,6 +171,6 @@ def _measure(name: str, x: np.ndarray) -> dict[str, Any]:
         "mean": float(x.mean()),
         "ci": interval,
         "worst": float(worst.mean()),
-        "by_partner": [round(float(value), 4) for value in by_partner],
+        "by_partner": [None if np.isnan(value) else round(float(value), 4) for value in everybody],
         "by_seed": [round(float(value), 4) for value in x.mean(1)],
     }

@@ -18,12 +18,13 @@ from assistax.errors import UsageError
 from assistax.evaluation.playing import EVALUATION_SEED
 from assistax.results.figures import STYLE
 from assistax.stamp import stamp
-from assistax.teamwork.adhoc import Meeting, Scale, gap, summarize
+from assistax.teamwork.adhoc import Meeting, by_pair, gap, only, scales, summarize
+from assistax.teamwork.strangers import check_robots, check_strangers, knows
 from assistax.training.configuration import TrainConfig
 from assistax.training.population import Population
 from assistax.training.run import Run
 
-SHOWN = ("score", "return", "success", "safe_success", "gated_preference_return")
+SHOWN = ("score", "gated_score", "return", "success", "safe_success", "gated_preference_return")
 
 
 def report(
@@ -40,35 +41,47 @@ def report(
       populations: by part, "test" and perhaps "train": the partners.
       episodes: with each partner.
       seed: of the draws.
-      best_responses: by name, runs of robots that know one or more of the partners, as references for score 1.
+      best_responses: by name, runs of robots that were trained with one or more of the partners: references for score
+        1 beside those partners.
 
     Returns:
       ready for JSON: "task", "episodes", "partners" (ids by part), by part "references" and "methods" (see
-      adhoc.summarize) and which partners are "scored"; "gap" by method; "stamp".
+      adhoc.summarize) and which partners are "scored"; "gap" by method and measure; "stamp".
 
     Raises:
-      UsageError: a run of another task, whose robot did not learn, or that was trained with a partner of the test.
+      UsageError: a run of another task, whose robot did not learn, observes something else, or has met a held-out
+        partner in training.
     """
-    everyone = [run for runs in methods.values() for run in runs] + list((best_responses or {}).values())
-    check_strangers(everyone, populations)
-    found: dict[str, Any] = {"task": next(iter(populations.values())).task, "episodes": episodes, "seed": seed}
+    best_responses = best_responses or {}
+    measured = [run for runs in methods.values() for run in runs]
+    check_robots([*measured, *best_responses.values()], populations)
+    check_strangers(measured, populations)
+    everywhere = {p: Meetings(measured[0].config, population, episodes) for p, population in populations.items()}
+    for meetings in everywhere.values():  # who does not fit is refused before anybody has played
+        for run in (*measured, *best_responses.values()):
+            meetings.of(run)
+    found: dict[str, Any] = {"task": measured[0].config.task, "episodes": episodes, "seed": seed}
     found["partners"] = {part: list(population.ids) for part, population in populations.items()}
-    for part, population in populations.items():
-        meetings = Meetings(everyone[0].config, population, episodes)
+    pairs: dict[str, dict[str, Any]] = {}  # by part and method
+    for part, meetings in everywhere.items():
         references = meetings.plain.references()
-        for name, run in (best_responses or {}).items():
-            references[name] = meetings(run, seed)[0]
-        scale = Scale.of(references)
+        for name, run in best_responses.items():
+            known = np.array(knows(run, meetings.population))
+            for k, one in zip(run.seeds.seeds, meetings(run, seed), strict=True):
+                references[f"{name} {k}" if run.config.num_seeds > 1 else name] = only(known, one)
+        references = {name: one for name, one in references.items() if not np.isnan(one["return"]).all()}
+        scale = scales(references)
+        pairs[part] = {
+            name: by_pair([robot for run in runs for robot in meetings(run, seed)], scale)
+            for name, runs in methods.items()
+        }
         found[part] = {
-            "references": {name: summarize([one], scale) for name, one in references.items()},
-            "methods": {
-                name: summarize([robot for run in runs for robot in meetings(run, seed)], scale)
-                for name, runs in methods.items()
-            },
-            "scored": [bool(one) for one in scale.scored],
+            "references": {name: summarize(by_pair([one], scale)) for name, one in references.items()},
+            "methods": {name: summarize(one) for name, one in pairs[part].items()},
+            "scored": [bool(one) for one in scale["score"].scored],
         }
     if {"train", "test"} <= set(populations):
-        found["gap"] = {m: gap(found["train"]["methods"][m], found["test"]["methods"][m]) for m in methods}
+        found["gap"] = {name: gap(pairs["train"][name], pairs["test"][name]) for name in methods}
     return found | {"runs": {name: [_about(run) for run in runs] for name, runs in methods.items()}} | stamp()
 
 
@@ -84,26 +97,35 @@ class Meetings:
         self.plain = Meeting(Env(config.task, config.engine, config.env, config.task_config), population, episodes)
         self._made: dict[Any, Meeting] = {(config.env, config.task_config): self.plain}
 
-    def __call__(self, run: Run, seed: int) -> list[dict[str, np.ndarray]]:
-        """What the robot of each of the run's seeds reaches, see Meeting."""
+    def of(self, run: Run) -> Meeting:
+        """Where the run's robots meet the partners; raises UsageError if they cannot play there."""
         config = _meeting_config(run.config, self.population)
         key = config.env, config.task_config
         if key not in self._made:
             self._made[key] = Meeting(meeting_env(run, self.population), self.population, self.episodes)
-        return [self._made[key](team["robot"], seed) for team in run.teams()]
+        _check_sizes(run, self._made[key].env, self.population)
+        return self._made[key]
+
+    def __call__(self, run: Run, seed: int) -> list[dict[str, np.ndarray]]:
+        """What the robot of each of the run's seeds reaches, see Meeting."""
+        return [self.of(run)(team["robot"], seed) for team in run.teams()]
 
 
 def meeting_env(run: Run, population: Population) -> Env:
     """The run's environment with the population's people in place of its own; its robot must be able to play there."""
     config = _meeting_config(run.config, population)
     env = Env(config.task, config.engine, config.env, config.task_config)
+    _check_sizes(run, env, population)
+    return env
+
+
+def _check_sizes(run: Run, env: Env, population: Population) -> None:
     if env.observation_sizes["robot"] != run.env.observation_sizes["robot"]:
         preferring = any(person.preference != "none" for person in population.people)
         raise UsageError(
             f"The robot of {run.folder} observes {run.env.observation_sizes['robot']} numbers, but beside these "
             f"partners {env.observation_sizes['robot']}: its people had {'no ' * preferring}preferences."
         )
-    return env
 
 
 def table(found: Mapping[str, Any], part: str = "test") -> tuple[list[str], list[list[str]]]:
@@ -161,20 +183,3 @@ def _meeting_config(config: TrainConfig, population: Population, **knowing: Any)
     who |= {"random_share": 0.0, "redraw_every": 1}  # which are ways of training
     human = dataclasses.replace(config.env.human, **who, **knowing)
     return dataclasses.replace(config, env=dataclasses.replace(config.env, human=human))
-
-
-def check_strangers(runs: Sequence[Run], populations: Mapping[str, Population]) -> None:
-    """Raise UsageError unless these robots can be measured with these partners, and none has met one of the test."""
-    for population in populations.values():
-        for run in runs:
-            if run.config.task != population.task:
-                raise UsageError(f"{run.folder} is of {run.config.task}, the partners are of {population.task}.")
-            if "robot" not in run.trainer.learners:
-                raise UsageError(f"The robot of {run.folder} did not learn; there is nothing to measure.")
-    if "test" not in populations:
-        return
-    held_out = set(populations["test"].ids)
-    for run in runs:
-        met = run.partners["human"].population if "human" in run.partners else None
-        if met is not None and (both := held_out & set(met.ids)):
-            raise UsageError(f"{run.folder} was trained with {min(both)[:12]}, a partner of the test.")

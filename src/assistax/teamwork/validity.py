@@ -19,7 +19,8 @@ from assistax.results.figures import STYLE
 from assistax.settings import with_settings
 from assistax.stamp import stamp
 from assistax.teamwork.adhoc import Meeting
-from assistax.teamwork.report import Meetings, check_strangers
+from assistax.teamwork.report import Meetings
+from assistax.teamwork.strangers import check_robots
 from assistax.training.clock import progress_bar
 from assistax.training.population import Population
 from assistax.training.run import Run
@@ -89,7 +90,7 @@ def _by_seed(
     """What the robots of these runs reach, see Meeting, by name and number of the seed."""
     found = {}
     for name, runs in robots.items():
-        check_strangers(runs, {"train": population})
+        check_robots(runs, {"everybody": population})
         meetings = Meetings(runs[0].config, population, episodes)
         seeds = [one for run in runs for one in meetings(run, seed)]
         found |= {f"{name} {i}" if len(seeds) > 1 else name: one for i, one in enumerate(seeds)}

@@ -1,0 +1,71 @@
+"""Who has met whom in training: held-out partners must be strangers, and best responses must not."""
+
+from collections.abc import Mapping, Sequence
+
+import jax
+import numpy as np
+
+from assistax.errors import UsageError
+from assistax.policies import Player
+from assistax.training.partners import split_pair
+from assistax.training.population import Population
+from assistax.training.run import Run
+
+
+def check_robots(runs: Sequence[Run], populations: Mapping[str, Population]) -> None:
+    """Raise UsageError unless the robots of these runs learned, in the task of the partners."""
+    for population in populations.values():
+        for run in runs:
+            if run.config.task != population.task:
+                raise UsageError(f"{run.folder} is of {run.config.task}, the partners are of {population.task}.")
+            if "robot" not in run.trainer.learners:
+                raise UsageError(f"The robot of {run.folder} did not learn; there is nothing to measure.")
+
+
+def check_strangers(runs: Sequence[Run], populations: Mapping[str, Population]) -> None:
+    """Raise UsageError if a robot has met somebody of any part but "train"."""
+    for part, population in populations.items():
+        for run in runs if part != "train" else ():
+            if met := [one for one, known in zip(population.ids, knows(run, population), strict=True) if known]:
+                raise UsageError(f"{run.folder} was trained with {met[0][:12]}, a partner of the {part}.")
+
+
+def knows(run: Run, population: Population) -> list[bool]:
+    """By member, whether the run's robots were trained with that person, or with an earlier or later self of it.
+
+    People are told by what they do, their actors' weights, whatever they were called: a run's partner may have been
+    another run, a team file or a population, or the person that learned beside the robot.
+    """
+    partner = run.partners.get("human")
+    if partner is not None and partner.population is not None:
+        ids, selves = set(partner.population.ids), {_self(row) for row in partner.population.rows}
+        return [row["id"] in ids or _self(row) in selves for row in population.rows]
+    habits = {name for agent, name in map(split_pair, run.config.partners) if agent == "human"}
+    people = [partner.player] if partner is not None else [team["human"] for team in run.teams()]
+    met = [actor for person in people for actor in _actors(person)]
+    return [
+        row["habit"] in habits
+        if "habit" in row
+        else any(_same(population.member(row)["human"]["actor"], actor) for actor in met)
+        for row in population.rows
+    ]
+
+
+def _self(row: Mapping) -> tuple | str:
+    """What all earlier selves of a member have in common with it."""
+    return row["id"] if "habit" in row else (*row["person"].values(), row["algorithm"], row["seed"], row.get("taught"))
+
+
+def _actors(player: Player) -> list:
+    """Its members' actors; none of a scripted player."""
+    if not isinstance(player.params, dict) or "actor" not in player.params:
+        return []
+    return [player.member(i)["actor"] for i in range(player.members)]
+
+
+def _same(stored, actor) -> bool:
+    """Whether a stored actor, in half precision, is this one."""
+    pairs = jax.tree.leaves(stored), jax.tree.leaves(actor)
+    return len(pairs[0]) == len(pairs[1]) and all(
+        np.shape(a) == np.shape(b) and np.array_equal(a, np.asarray(b, np.float16)) for a, b in zip(*pairs, strict=True)
+    )
