@@ -11,7 +11,10 @@ import pytest
 
 import assistax
 from assistax.adapters.partner import batch_of, find_player
+from assistax.errors import UsageError
+from assistax.human import Person
 from assistax.policies import Player
+from assistax.training.population import Population
 
 gym = pytest.importorskip("gymnasium", reason="needs the extra gymnasium")
 from gymnasium.utils.env_checker import check_env  # noqa: E402
@@ -47,6 +50,22 @@ def actions(env, i, n=2):
 
 
 # -- partners --------------------------------------------------------------------------------------
+
+
+def test_a_population_brings_its_people_along():
+    """As itself, and by name; what else the person is stays the user's to say."""
+    people = Population.scripted("scratch-v1", Person("weakness", "default"), ("shy", "offers"))
+    one = AgentEnv("scratch-v1", partner=people, human={"visibility": "human"}, **SETTINGS)
+    assert one._batch.env.config.human.people == people.people
+    assert one.observation_space.shape == AgentEnv("scratch-v1", partner="still", **SETTINGS).observation_space.shape
+    batch, players = one._batch, one._players
+    _, state = batch.reset(players, jax.random.split(jax.random.key(0), NUM_ENVS))
+    zeros = {"robot": jnp.zeros((NUM_ENVS, 7))}
+    state, _ = batch.step("same_step", players, state, zeros)
+    index = state.partners["human"]["index"].tolist()
+    assert index == state.env.person.index.tolist() and set(index) == {0, 1}
+    with pytest.raises(UsageError, match=r"env\.human\.people must be theirs"):
+        AgentEnv(batch_of("scratch-v1", "mujoco", {"episode_length": LENGTH}).env, partner=people)
 
 
 def test_a_partner_acts_as_it_would_in_the_functional_environment(env):

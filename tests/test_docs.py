@@ -4,6 +4,7 @@ import importlib.util
 import json
 import re
 import tomllib
+from pathlib import Path
 
 import pytest
 from pages import DOCS, imported, python_blocks
@@ -28,6 +29,9 @@ SMALLER = {"1024": "4", "range(100)": "range(2)"}  # sizes that a page names, an
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # other packages', of themselves
 def test_the_code_of_a_page_runs(page, tmp_path, registries, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    Path("populations").mkdir()  # pages make others beside these
+    for population in (DOCS.parent / "populations").iterdir():
+        Path("populations", population.name).symlink_to(population)
     code = "\n\n".join(block for block in python_blocks(page) if can_run(block))
     for size, smaller in SMALLER.items():
         code = code.replace(size, smaller)

@@ -43,7 +43,7 @@ class AgentEnv(BraxEnv):
       agent: "robot", "human", or "both": one agent that observes what either of them does and acts with the
         robot's actions followed by the human's.
       partner: who plays the other one: "still", "random", "trained", a team file, a run folder, ..., see
-        `training.partners.find_partner`; or a `Player`.
+        `training.partners.find_partner`; or a `Population` or `Player`.
       engine: as in `assistax.make`.
       **settings: as in `assistax.make`, for example `episode_length=500`.
 

@@ -56,7 +56,7 @@ class AgentEnv(gym.Env[np.ndarray, np.ndarray]):
       task: its id, for example "scratch-v1", or an Env.
       agent: "robot" or "human".
       partner: who plays the other one: "still", "random", "trained", a team file, a run folder, ..., see
-        `training.partners.find_partner`; or a `Player`.
+        `training.partners.find_partner`; or a `Population` or `Player`.
       engine: as in `assistax.make`.
       render_mode: None or "rgb_array".
       **settings: as in `assistax.make`, for example `episode_length=500`.

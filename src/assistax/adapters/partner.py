@@ -15,17 +15,20 @@ from assistax.learning.partners import Partners
 from assistax.policies import Player
 from assistax.pytree import pytree
 from assistax.tasks import TaskSpec, task_spec
+from assistax.training.configuration import people_of
 from assistax.training.partners import find_partner
+from assistax.training.population import Population
 
-Who = str | Path | Player
-"""A frozen partner: "still", "trained", ..., see `training.partners.find_partner`; or a player of one's own."""
+Who = str | Path | Player | Population
+"""A frozen partner: "still", "trained", ..., see `training.partners.find_partner`; a population or a part of one, whose
+people are then the environment's; or a player of one's own."""
 
 
 def find_player(who: Who, env: Env, agent: str) -> Player:
     """The frozen partner who plays the agent; raises UsageError for one who cannot."""
     choose("agent", agent, env.agents)
     if not isinstance(who, Player):
-        return find_partner(str(who), env, agent).player
+        return find_partner(who if isinstance(who, Population) else str(who), env, agent).player
     who.check(env)
     obs, state = jax.eval_shape(env.reset, jax.random.key(0))
     first, key = jax.ShapeDtypeStruct((), bool), jax.random.key(0)
@@ -178,6 +181,8 @@ def beside(
     task: str | Env, agent: str, partner: Who, engine: str, settings: Mapping[str, Any], both: bool = False
 ) -> tuple[Batch, dict[str, Player]]:
     """The programs for one agent, and by agent who plays the other; with `both`, the agent may be BOTH: nobody."""
+    if isinstance(task, str) and agent == "robot":
+        settings = {**_people_of(partner), **settings}
     batch = batch_of(task, engine, settings)
     agents = batch.env.agents
     choose("agent", agent, (*agents, BOTH) if both else agents)
@@ -187,6 +192,14 @@ def beside(
         return batch, {}
     other = next(other for other in agents if other != agent)
     return batch, {other: find_player(partner, batch.env, other)}
+
+
+def _people_of(partner: Who) -> dict[str, Any]:
+    """The settings of `make` that a population brings along as the human."""
+    if isinstance(partner, Player):
+        return {}
+    found = people_of([partner if isinstance(partner, Population) else f"human={partner}"])
+    return {name.removeprefix("env."): value for name, value in found.items()}
 
 
 @lru_cache(maxsize=4)

@@ -52,7 +52,7 @@ class TorchEnv:
       num_envs: environments side by side.
       agent: "robot", "human", or "both": observations and actions are dicts of tensors by agent then.
       partner: who plays the other one: "still", "random", "trained", a team file, a run folder, ..., see
-        `training.partners.find_partner`; or a `Player`.
+        `training.partners.find_partner`; or a `Population` or `Player`.
       engine: as in `assistax.make`.
       autoreset: "same_step": `obs` begins the next episode where one has ended; "next_step": the next step does, whose
         action is ignored and whose reward is 0; "disabled": call `reset` with a mask.

@@ -15,7 +15,7 @@ from assistax.settings import check_count, check_seed, with_settings
 from assistax.stamp import stamp
 from assistax.tasks import stored_task, task_spec
 from assistax.training import splits
-from assistax.training.population import is_population
+from assistax.training.population import Population, is_population
 from assistax.training.presets import num_envs, preset
 
 DEFAULT_STEPS = 5_000_000
@@ -136,14 +136,15 @@ def configure(task: str, settings: dict[str, Any], recurrent=False, share_parame
     return with_settings(config, settings)
 
 
-def people_of(partners: Iterable[str]) -> dict[str, Any]:
-    """The settings of who the person is that these partners ("human=POP:random/train") bring along."""
-    for text in partners:
-        agent, _, name = text.partition("=")
-        if agent == "human" and is_population(name):
-            people = splits.named(name)[1].people
-            words = {"env.human.disability": "none", "env.human.preference": "none"}
-            return {"env.human.people": people, "env.human.weights": ()} | words
+def people_of(partners: Iterable[str | Population]) -> dict[str, Any]:
+    """The settings of who the person is that these partners ("human=POP:random/train", or itself) bring along."""
+    for one in partners:
+        if isinstance(one, str):
+            agent, _, name = one.partition("=")
+            if agent != "human" or not is_population(name):
+                continue
+            one = splits.named(name)[1]
+        return {"env.human.people": one.people, "env.human.disability": "none", "env.human.preference": "none"}
     return {}
 
 

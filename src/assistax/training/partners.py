@@ -85,20 +85,23 @@ def keep_partners(partners: Mapping[str, Partner], folder: Path) -> tuple[str, .
     return tuple(copies)
 
 
-def find_partner(name: str, env: Env, agent: str) -> Partner:
+def find_partner(name: str | Population, env: Env, agent: str) -> Partner:
     """A frozen partner.
 
     Args:
       name: a scripted policy (see `policies.scripted_policy`); for the human, a habit (see `policies.habits`);
         "trained", the team in the package; a team file of the same task; a run folder of the same task: its policies
         for that agent, as they acted in training, of which every episode draws one seed; or a population of the same
-        task or a part of it, "POP" or "POP:KIND/PART", whose people `env` must have (see `people_of`).
+        task or a part of it, "POP" or "POP:KIND/PART", or the Population itself, whose people `env` must have (see
+        `people_of`).
       env: where.
       agent: whom it plays.
 
     Raises:
       UsageError: there is nobody of that name, or of another task, or who observes or does something else.
     """
+    if isinstance(name, Population):
+        return _of_population(name, "the population", env, agent)
     if name == "trained":
         return _of_team(trained_file(env.name), env, agent)
     if name.endswith(".safetensors"):
