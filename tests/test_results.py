@@ -238,6 +238,8 @@ def test_scales_are_those_of_the_task_the_person_and_the_reward(tmp_path):
     assert comparison.scale(plain, "bound", RECORDS) == (0, 1000)
     assert comparison.scale(plain, "expert", RECORDS) == (0, 1180)
     assert comparison.scale(plain, "minmax", RECORDS) == (80, 1180)
+    experts = [{**RECORDS[2], "policy": name, "mean_return": x} for name, x in (("expert", 1180.0), ("offer", 1200.0))]
+    assert comparison.scale(plain, "minmax", experts) is None  # nobody there is bad
     assert comparison.scale(liked, "bound", RECORDS) == (0, 2000)  # the paper's combined maximum
     assert comparison.scale(weak, "bound", RECORDS) == (0, 1000)
     assert comparison.scale(liked, "expert", RECORDS) is comparison.scale(weak, "minmax", RECORDS) is None

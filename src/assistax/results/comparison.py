@@ -75,7 +75,10 @@ def scale(experiment: Experiment, kind: str, records: Iterable[dict[str, Any]]) 
         return None
     if kind == "expert":
         return 0.0, expert["mean_return"]
-    returns = [r["mean_return"] for r in references_of(experiment, records)]
+    there = references_of(experiment, records)
+    if not any(r["policy"] in ("still", "random") for r in there):  # the worst would be an expert
+        return None
+    returns = [r["mean_return"] for r in there]
     return (min(returns), max(returns)) if len(returns) > 1 else None
 
 
