@@ -241,18 +241,22 @@ class Fines(Game):
 class Stranger(Game):
     """The robot sees the human's last action until the third step, and should do as this human does from then on.
 
-    Reward 1 - (the robot's action - the human's)² from the third step on, else 0. Humans play 1 or -1 all the time: who
-    knows with whom it plays earns 1 a step, who does not plays 0 and earns 0.
+    Reward 1 - (the robot's action - the human's)² from the third step on, else 0. Where humans play 1 or -1 all the
+    time, who knows with whom it plays earns 1 a step, who does not plays 0 and earns 0. It may be `shown` more steps.
     """
 
     episode_length = 10
+
+    def __init__(self, shown=3):
+        self.shown = shown
+
     observation_sizes, action_sizes, global_size = {"robot": 2, "human": 1}, {"robot": 1, "human": 1}, 2
 
     def begin(self, key):
         return {"done": jnp.float32(0.0)}
 
     def see(self, state):
-        early = state["t"] < 3
+        early = state["t"] < self.shown
         return {"robot": jnp.stack([early * state["done"], 1.0 * early]), "human": state["done"][None]}
 
     def global_obs(self, state):

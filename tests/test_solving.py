@@ -83,6 +83,23 @@ def test_a_model_of_the_partner_tells_who_it_is(code):
     assert not code or stats["robot"]["prediction_error"] < 0.2  # about 1 without knowing who it is
 
 
+@pytest.mark.parametrize("earlier", [False, True])
+def test_who_met_earlier_selves_works_with_a_beginner(earlier):
+    """Fictitious co-play, see Stranger: people play 1 when they have learned, and less before; a new one plays -0.7.
+
+    Who saw only the skilled one knows of nothing but 1.
+    """
+    players = [Player.of(Constant(), *(jnp.full(1, x) for x in played)) for played in ((1.0, 0.3, -0.4, -1.0), (1.0,))]
+    quick = {"num_steps": 20, "num_minibatches": 2, "hidden": (8,), "entropy_coef": 0.0, "gamma": 0.5}
+    quick |= {"learning_rate": 1e-2, "initial_log_std": -2.0, "normalize_obs": False}
+    ppo, state, *_ = trained(Stranger(10), 60, partners={"human": players[not earlier]}, **quick)
+    seen, policy = jnp.array([-0.7, 1.0]), ppo.policy()
+    params = ppo.policy_params(state)["robot"]
+    action, _ = policy.act(params, policy.initial_carry(), seen, jnp.bool_(False), jax.random.key(0))
+    reward = 1.0 - float((action[0] + 0.7) ** 2)
+    assert reward > 0.9 if earlier else reward < 0.75, reward
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("recurrent", [False, True])
 def test_a_gru_remembers_among_distractions_for_as_long_as_it_takes(recurrent):
