@@ -194,7 +194,10 @@ def robots(population, tmp_path_factory):
     population.save(root / "pop")
     splits.save(splits.path_of(root / "pop", "random"), splits.split(population))
     made = {}
-    for name, settings in (("br", {}), ("oracle", {"env.human.visibility": "oracle"})):
+    for name, settings in (
+        ("br", {}),
+        ("oracle", {"env.human.visibility": "oracle", "env.human.weights": (2.0, 1.0, 1.0)}),
+    ):
         partners = (f"human={root}/pop:random/train",)
         config = configure(
             "scratch", {k: v for k, v in SETTINGS.items() if "human" not in k} | settings, partners=partners

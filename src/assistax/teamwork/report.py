@@ -179,7 +179,7 @@ def _about(run: Run) -> dict[str, Any]:
 
 def _meeting_config(config: TrainConfig, population: Population, **knowing: Any) -> TrainConfig:
     """The run's configuration with the population's people in place of its own."""
-    who: dict[str, Any] = {"people": population.people, "disability": "none", "preference": "none"}
+    who: dict[str, Any] = {"people": population.people, "weights": (), "disability": "none", "preference": "none"}
     who |= {"random_share": 0.0, "redraw_every": 1}  # which are ways of training
     human = dataclasses.replace(config.env.human, **who, **knowing)
     return dataclasses.replace(config, env=dataclasses.replace(config.env, human=human))

@@ -144,7 +144,8 @@ def people_of(partners: Iterable[str | Population]) -> dict[str, Any]:
             if agent != "human" or not is_population(name):
                 continue
             one = splits.named(name)[1]
-        return {"env.human.people": one.people, "env.human.disability": "none", "env.human.preference": "none"}
+        words = {"env.human.disability": "none", "env.human.preference": "none"}
+        return {"env.human.people": one.people, "env.human.weights": ()} | words
     return {}
 
 
