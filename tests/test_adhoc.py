@@ -421,6 +421,9 @@ def test_a_summary_has_means_by_episode_and_their_slope(population):
     found = summarize_series([one, one | {"return": one["return"] + 1.0}], about(population))
     assert found["return"]["by_episode"] == [2.5, 3.5] and found["return"]["slope"] == 1.0
     assert found["probe"] == {"preference": {"1": None}, "body": {"1": None}}
+    zero, best = np.full(5, 2.0), np.array([4.0, 4.0, 6.0, np.nan, 2.1])
+    scored = summarize_series([one], about(population), Scale(zero, best))["score"]
+    assert scored["by_episode"] == [0.0, round((0.5 + 0.5 + 0.25) / 3, 4)]  # of three partners, who have 2.0 and 3.0
     truths = about(population)
     assert truths["preference"].shape == (5, 7) and truths["body"].shape == (5, 4)
     assert truths["body"][2].tolist() == pytest.approx([0.0, 5.0, 0.4, 1.0])

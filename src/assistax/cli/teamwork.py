@@ -95,9 +95,10 @@ def adapt(
     rows = []
     for name, one in found["methods"].items():
         read = [one["probe"][what].get("8", one["probe"][what].get("1")) for what in ("preference", "body")]
-        cells = [" ".join(f"{x:.3g}" for x in one[m]["by_episode"]) for m in ("return", "safe_success") if m in one]
+        measures = [one.get(name, {}).get("by_episode", []) for name in ("score", "return", "safe_success")]
+        cells = [" ".join(f"{x:.3g}" for x in measure) for measure in measures]
         rows.append([name, *cells, *("–" if x is None else f"{x:.2f}" for x in read)])
-    head = ["robot", "return by episode", "safe success", "preference read (R²)", "body read (R²)"]
+    head = ["robot", "score by episode", "return", "safe success", "preference read (R²)", "body read (R²)"]
     print(aligned(head, rows))
     if out is not None:
         write_json(out, found)

@@ -25,8 +25,8 @@ from assistax.physics import check_faults
 from assistax.policies import Player, Policy
 from assistax.settings import check_count
 from assistax.stamp import stamp
-from assistax.teamwork.adhoc import MEASURES
-from assistax.teamwork.report import meeting_env
+from assistax.teamwork.adhoc import MEASURES, Scale
+from assistax.teamwork.report import Meetings, meeting_env
 from assistax.teamwork.strangers import check_robots, check_strangers
 from assistax.training.population import Population
 from assistax.training.run import Run
@@ -167,20 +167,26 @@ def about(population: Population) -> dict[str, np.ndarray]:
     return {"preference": np.asarray(preferences, float), "body": np.asarray(bodies, float)}
 
 
-def summarize_series(seeds: Sequence[dict[str, np.ndarray]], truths: Mapping[str, np.ndarray]) -> dict[str, Any]:
+def summarize_series(
+    seeds: Sequence[dict[str, np.ndarray]], truths: Mapping[str, np.ndarray], scale: Scale | None = None
+) -> dict[str, Any]:
     """What one method's robots, a seed each, reach in series with the same partners; ready for JSON.
 
     Args:
       seeds: what `Series` returned of each.
       truths: what is looked for in their memories, see `about`.
+      scale: of their returns, for a "score" beside the other measures, over the partners who are scored.
 
     Returns:
       by measure "by_episode", a mean for each episode of a row, and its "slope" with the 95 % interval "ci" for new
       seeds and new partners; "probe": by truth and seconds of the first episode R², a mean over seeds.
     """
     found: dict[str, Any] = {}
-    for name in seeds[0].keys() & set(MEASURES):
-        means = np.stack([one[name].mean(1) for one in seeds])  # [seeds, partners, in_a_row]
+    by_episode = {name: np.stack([one[name].mean(1) for one in seeds]) for name in seeds[0].keys() & set(MEASURES)}
+    if scale is not None and scale.scored.any():
+        scores = scale(np.moveaxis(by_episode["return"], 1, -1))[..., scale.scored]
+        by_episode["score"] = np.moveaxis(scores, -1, 1)
+    for name, means in by_episode.items():  # [seeds, partners, in_a_row]
         found[name] = {"by_episode": [round(float(x), 4) for x in means.mean((0, 1))]}
         if means.shape[-1] > 1:
             found[name] |= {"slope": float(slope(means).mean()), "ci": crossed_ci(slope(means))}
@@ -219,12 +225,16 @@ def adaptation(
     runs = [run for some in methods.values() for run in some]
     check_robots(runs, {"test": population})
     check_strangers(runs, {"test": population})
+    envs = {
+        run.folder: meeting_env(run, population) for run in runs
+    }  # who does not fit is refused before anybody plays
+    scale = Scale.of(Meetings(runs[0].config, population, repeats).plain.references())
     truths, found = about(population), {}
     for name, runs in methods.items():
         seeds = []
         for run in runs:
-            series = Series(meeting_env(run, population), population, in_a_row, repeats)
+            series = Series(envs[run.folder], population, in_a_row, repeats)
             seeds += [series(team["robot"], seed) for team in run.teams()]
-        found[name] = summarize_series(seeds, truths)
+        found[name] = summarize_series(seeds, truths, scale)
     sizes = {"in_a_row": in_a_row, "repeats": repeats, "seed": seed}
     return {"task": population.task, "partners": list(population.ids), **sizes, "methods": found} | stamp()
