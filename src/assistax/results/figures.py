@@ -226,11 +226,14 @@ def _draw(rows: Sequence[Sequence[Panel]], source: str, same_scale: bool = False
 
 def _fill(axes: Axes, panel: Panel, looks: dict[str, dict[str, Any]]) -> None:
     axes.set_axis_on()
+    seen = [0.0, *panel.lines.values()]
     for name, shown in panel.curves.items():
         x, look = shown.steps / 1e6, looks[name]
         seeds_last = [values.T for values in shown.tasks]
         marker = "o" if len(x) <= 20 else None
-        axes.plot(x, panel.statistic(seeds_last), marker=marker, ms=2.5, **look)
+        line = np.asarray(panel.statistic(seeds_last))
+        seen.extend(line[np.isfinite(line)].tolist())
+        axes.plot(x, line, marker=marker, ms=2.5, **look)
         bands = [
             seed_ci([scores[i] for scores in seeds_last], panel.statistic) or (np.nan, np.nan) for i in range(len(x))
         ]
@@ -240,8 +243,9 @@ def _fill(axes: Axes, panel: Panel, looks: dict[str, dict[str, Any]]) -> None:
         axes.axhline(y, color="#777777", lw=0.8, ls=(0, (4, 3)))
         place = "bottom" if y == highest else "top"
         axes.annotate(name, (0.01, y), xycoords=("axes fraction", "data"), va=place, size=7, color="#555555")
-    axes.margins(x=0.02, y=0.1)
-    axes.set_ylim(bottom=min(0.0, axes.dataLim.ymin))
+    axes.margins(x=0.02)
+    # Of lines only: the band of two seeds may be ten times as high as all there is to see.
+    axes.set_ylim(min(seen), max(seen) + 0.1 * ((max(seen) - min(seen)) or 1.0))
 
 
 def _caption(source: str, panels: Sequence[Panel]) -> str:
