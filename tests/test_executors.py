@@ -25,7 +25,9 @@ from assistax.executors.local import Local
 from assistax.executors.ray import Ray
 from assistax.executors.slurm import Slurm
 from assistax.teamwork import plan
+from assistax.training import loop
 from assistax.training.clock import progress_bar
+from assistax.training.run import Run
 
 TOYS = Path(__file__).with_name("toy_jobs.py")
 
@@ -277,8 +279,11 @@ def test_the_commands_of_the_page_are_commands(tmp_path, monkeypatch):
         monkeypatch.setattr(kind, "room", lambda *_: 1)
     monkeypatch.setattr(plan, "train", lambda *args: trained.append(args))
     monkeypatch.setattr(plan, "train_with", lambda *args: trained.append(args))
+    monkeypatch.setattr("jax.local_device_count", lambda: 4)
+    summary = {"mean_return": 0.0, "success_rate": 0.0, "env_steps_per_s": 1}
+    monkeypatch.setattr(loop, "train", lambda run, **_: trained.append((run, run)) or summary)
     for command in commands:
         assistax(*command[1:])
         shutil.rmtree("populations", ignore_errors=True)
-    assert len(trained) == len(commands) == 7
-    assert {type(args[1]) for args in trained} == {tuple, Local, Slurm, Ray}
+    assert len(trained) == len(commands) == 8
+    assert {type(args[1]) for args in trained} == {tuple, Local, Slurm, Ray, Run}
