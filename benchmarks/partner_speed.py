@@ -12,6 +12,7 @@ import sys
 import time
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import tyro
 
@@ -31,7 +32,7 @@ def members(env: Env, number: int, algorithm: str = "ippo", recurrent: bool = Fa
     trainer = configure(env.name, {}, algorithm=algorithm, recurrent=recurrent).trainer(env, {})
     shapes = jax.eval_shape(lambda key: trainer.policy_params(trainer.init(key))["human"], jax.random.key(0))
     rng = np.random.default_rng(0)
-    params = jax.tree.map(lambda x: 0.1 * rng.standard_normal((number, *x.shape), np.float32), shapes)
+    params = jax.tree.map(lambda x: jnp.asarray(0.1 * rng.random((number, *x.shape), np.float32)), shapes)
     return Player(trainer.policy(deterministic=False), params, number)
 
 
@@ -39,7 +40,12 @@ def populations(env: Env) -> dict[str, Player]:
     """By name, a human for each of the people."""
     number = len(people(PAPER))
     one = members(env, number)
-    kinds = [one, members(env, number, recurrent=True), members(env, number, "masac"), Player(Still(3))]
+    kinds = [
+        one,
+        members(env, number, recurrent=True),
+        members(env, number, "masac"),
+        Player(Still(env.action_sizes["human"])),
+    ]
     kind = np.arange(number) % len(kinds)
     mixed = Mixed.of_players(kinds, kind, np.where(kind < 3, np.arange(number), 0), by_person=True)
     return {
