@@ -435,6 +435,14 @@ def test_panels_show_the_means_bands_and_references(tmp_path):
     np.testing.assert_allclose(drawn(by_algorithm[0])[0][0].get_ydata()[-1], (550 - 80) / 1100)
 
 
+def test_the_bands_of_few_seeds_do_not_set_the_scale(tmp_path):
+    """Two seeds at 1900 and 2100 have a band of 729 to 3271."""
+    found = pooled(write_run(tmp_path / "run", np.array([[1900.0] * 3, [2100.0] * 3])))
+    axes = next(axes for axes in figures.learning_curves(found, {}).axes if axes.axison)
+    assert axes.collections[0].get_paths()[0].get_extents().ymax > 3200
+    assert axes.get_ylim() == pytest.approx((0.0, 2200.0))
+
+
 def test_versions_of_the_tasks_are_not_put_together(tmp_path):
     """Of version 0 two tasks, of version 1 the same two, which everybody solves."""
     for task in ("scratch-v0", "feeding-v0", "scratch-v1", "feeding-v1"):

@@ -20,6 +20,7 @@ CONFIG: Schema = {
     "seed": SEEDS,
     "num_envs?": COUNT,
     "num_seeds?": range(1, 10**4),
+    "start?": str,
     "partners?": [str],
     "partner_copies?": [str],
     "env?": {"human?": {"disability?": str, "preference?": str, "people?": (str, [_PERSON])}},
@@ -74,6 +75,7 @@ PLAN: Schema = {  # of a population, see teamwork/plan.py
     "num_envs": (COUNT, None),
     "settings": {str: object},
     "taught?": [str],
+    "starts?": [str],
 }
 SPLIT: Schema = {"train": [str], "val": [str], "test": [str]}
 VALIDITY: Schema = {"ids": [str], "matrix": {"return": [[float]]}}  # and more, see teamwork/validity.py

@@ -69,10 +69,9 @@ def _teams_of(target: str, policy: str | None, engine: str | None, settings: dic
     from assistax.env import Env
     from assistax.policies import SCRIPTED, scripted_team
     from assistax.tasks import TASKS, is_task, task_spec
-    from assistax.training.configuration import configure
+    from assistax.training.configuration import configure, read_config
     from assistax.training.partners import split_pair
     from assistax.training.run import Run
-    from assistax.training.run_folder import read_config
     from assistax.training.team_file import load_team, trained_file
 
     if policy == "trained":

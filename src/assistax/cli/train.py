@@ -23,6 +23,7 @@ def train(
     engine: Name = None,
     preset: Name = None,
     partner: Partner = (),
+    start: File = None,
     out: File = None,
     set: Set = (),
     log: Words = (),
@@ -45,6 +46,7 @@ def train(
       assistax train scratch --partner human=still
       assistax train scratch --partner human=runs/scratch-ippo-0
       assistax train scratch --partner human=populations/scratch-v1:random/train
+      assistax train scratch --start runs/scratch-ippo-0 --set env.human.disability=tremor --steps 1e6
       assistax train --resume runs/scratch-ippo-0
 
     Args:
@@ -60,6 +62,7 @@ def train(
       partner: AGENT=WHO for a frozen partner, who does not learn: a scripted policy, a habit of a person, a run folder
         whose policy (of several seeds, one per episode) plays it as it was trained, or a population or a part of one
         (human=POP:random/train), of which every episode draws a member: body, preferences and policy.
+      start: begin with the networks of this run, of one seed and the same task and algorithm, and without teachers.
       preset: hyperparameters: default, or paper for the paper's table.
       out: run folder (default runs/TASK-ALGORITHM-SEED, with a number if taken).
       set: change any setting, for example ppo.gamma=0.98 or task_config.force=2; `assistax settings TASK` lists
@@ -80,7 +83,7 @@ def train(
         given: dict[str, Any] = {"task": task, "algorithm": algorithm, "num-envs": num_envs, "seed": seed}
         given |= {"recurrent": recurrent or None, "share-parameters": share_parameters or None}
         given |= {"num-seeds": num_seeds, "engine": engine, "preset": preset, "out": out, "set": set or None}
-        given |= {"partner": partner or None}
+        given |= {"partner": partner or None, "start": start}
         if extra := [name for name, value in given.items() if value is not None]:
             raise UsageError(
                 f"--resume takes everything but --steps and --log from the run; leave out {', '.join(extra)}."
@@ -92,6 +95,7 @@ def train(
         choices: dict[str, Any] = {"algorithm": algorithm, "preset": preset, "engine": engine, "steps": steps}
         choices |= {"num_envs": num_envs, "seed": seed, "num_seeds": num_seeds, "partners": partner}
         choices |= {"recurrent": recurrent, "share_parameters": share_parameters}
+        choices |= {"start": str(start)} if start else {}
         config = configure(task, parse_assignments(set), **choices)
         name = f"{task}-{config.algorithm}{'-rnn' * recurrent}{'-shared' * share_parameters}-{config.seed}"
         run = Run.create(config, out or free_folder(name))

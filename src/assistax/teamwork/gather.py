@@ -78,9 +78,10 @@ def one_person(run: Run) -> dict[str, str]:
 
 
 def taught(run: Run) -> str:
-    """The script that a run's person was taught at first; "" for none."""
+    """The script that a run's person was taught at first, in this run or in that which it began with; "" for none."""
     teachers = getattr(run.config.method, "teachers", ())
-    return next((name for agent, _, name in (one.partition("=") for one in teachers) if agent == "human"), "")
+    habit = next((name for agent, _, name in (one.partition("=") for one in teachers) if agent == "human"), "")
+    return habit if habit or run.start is None else taught(Run.open(run.start))
 
 
 def _summary(run: Run) -> dict[str, Any]:

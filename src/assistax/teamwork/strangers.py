@@ -34,8 +34,16 @@ def knows(run: Run, population: Population) -> list[bool]:
     """By member, whether the run's robots were trained with that person, or with an earlier or later self of it.
 
     People are told by what they do, their actors' weights, whatever they were called: a run's partner may have been
-    another run, a team file or a population, or the person that learned beside the robot.
+    another run, a team file or a population, or the person that learned beside the robot. Who it met in the run that
+    it began with, it has met.
     """
+    if run.start is not None:
+        before = knows(Run.open(run.start), population)
+        return [a or b for a, b in zip(before, _met(run, population), strict=True)]
+    return _met(run, population)
+
+
+def _met(run: Run, population: Population) -> list[bool]:
     partner = run.partners.get("human")
     if partner is not None and partner.population is not None:
         ids, selves = set(partner.population.ids), {_self(row) for row in partner.population.rows}

@@ -3,11 +3,15 @@
 import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from assistax.env import Env, EnvConfig
 from assistax.errors import UsageError
+from assistax.files import read_json
+from assistax.formats import CONFIG
 from assistax.learning.algorithms import ALGORITHMS, Algorithm
+from assistax.learning.ppo.config import most_log_std
 from assistax.learning.trainer import Trainer
 from assistax.physics import resolve_engine
 from assistax.policies import Player, Still
@@ -34,6 +38,7 @@ class TrainConfig:
     seed: int = 0
     num_seeds: int = 1
     devices: int = 1  # accelerators of this machine that share the environments
+    start: str = ""  # a run with whose networks this one begins, see start.py
     partners: tuple[str, ...] = ()  # "human=still": frozen partners, see partners.py
     partner_copies: tuple[str, ...] = ()  # "human=SHA-256": trained partners that the run folder holds a copy of
     evaluations: int = 10  # how many, evenly over the training; there is always one at its end
@@ -92,7 +97,7 @@ class TrainConfig:
 
 
 # What is asked for with a flag of its own, and with which: a setting by that name would be a label that says nothing.
-FLAGS = {"task": "the task's name in front", "partners": "--partner"}
+FLAGS = {"task": "the task's name in front", "partners": "--partner", "start": "--start"}
 FLAGS |= {name: f"--{name.replace('_', '-')}" for name in ("algorithm", "preset", "engine", "steps", "num_envs")}
 FLAGS |= {"seed": "--seed", "num_seeds": "--num-seeds (in `assistax sweep` and `population train` by --seeds)"}
 
@@ -109,7 +114,8 @@ def check_settings(settings: Iterable[str]) -> None:
 def configure(task: str, settings: dict[str, Any], recurrent=False, share_parameters=False, **choices) -> TrainConfig:
     """A TrainConfig from a task's preset, then `choices` (fields), then `settings` ("ppo.gamma": 0.98).
 
-    With a population as the human's partner, the people are its members unless the settings have others.
+    With a population as the human's partner, the people are its members unless the settings have others. Who begins
+    with another run's networks is not taught what they know, and explores as little as they did in the end.
     """
     check_settings(settings)
     settings = people_of(choices.get("partners") or ()) | settings
@@ -129,6 +135,8 @@ def configure(task: str, settings: dict[str, Any], recurrent=False, share_parame
     row |= {switch: value for switch, value in switches.items() if switch in known}
     if settings.get("env.control", "torque") != "torque":  # the scripted robot plays with torques
         row |= {"teachers": tuple(one for one in row["teachers"] if "robot=" not in one)} if "teachers" in row else {}
+    if (start := given.get("start")) and algorithm.group == "ppo":
+        row |= {"teachers": (), "initial_log_std": _last_log_std(read_config(Path(start)))}
     method = with_settings(algorithm.config_type(**algorithm.switches), row)
     fields: dict[str, Any] = {"num_envs": num_envs(name, algorithm.name), "method": method} | given
     config = TrainConfig(spec.id, task_config=spec.config, **fields)
@@ -149,6 +157,14 @@ def people_of(partners: Iterable[str | Population]) -> dict[str, Any]:
     return {}
 
 
+def _last_log_std(config: TrainConfig) -> float:
+    """The most exploration that there may have been at the end of a training by PPO."""
+    method, per_iteration = config.method, config.num_envs * config.method.num_steps
+    if method.final_log_std is None:
+        return method.initial_log_std
+    return float(most_log_std(method, config.iterations, per_iteration, config.iterations))
+
+
 def stored_config(stored: Mapping[str, Any], source: str) -> TrainConfig:
     """The TrainConfig of what `to_json` made; fields that it lacks have their defaults.
 
@@ -160,6 +176,14 @@ def stored_config(stored: Mapping[str, Any], source: str) -> TrainConfig:
         return with_settings(blank, {k: v for k, v in stored.items() if k not in ("task", "stamp", "resumed")})
     except UsageError as error:
         raise UsageError(f"Cannot read {source}: {error}") from None
+
+
+def read_config(folder: Path) -> TrainConfig:
+    """The configuration of a run; raises UsageError if the folder is none."""
+    path = folder / "config.json"
+    if not path.exists():
+        raise UsageError(f"{folder} is not a run folder: it has no config.json.")
+    return stored_config(read_json(path, CONFIG), str(path))
 
 
 def trained_env(config: TrainConfig) -> tuple[Env, Any]:

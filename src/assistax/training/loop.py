@@ -149,7 +149,7 @@ class _Training:
             for name in ("metrics", "evaluations"):  # of what a crash has left of a first line
                 journal.keep(run.folder, name, 0)
             print(_COMPILING, file=sys.stderr)
-            return self.seeds.init(self.trainer.init), 0, Clock({})
+            return self.seeds.init(run.init), 0, Clock({})
         about = check_checkpoint(path, run.config)
         _check_settings(run, about.get("settings", {}), path.name)
         done, over = divmod(about["steps"], run.steps_per_iteration)

@@ -21,9 +21,9 @@ from assistax.policies import Player, scripted_player
 from assistax.policies.habits import HABITS
 from assistax.training import splits
 from assistax.training.checkpoint import EVERYTHING, content_hash, load_checkpoint, read_metadata, save_checkpoint
-from assistax.training.configuration import TrainConfig, stored_config, to_json, trained_env
+from assistax.training.configuration import TrainConfig, read_config, stored_config, to_json, trained_env
 from assistax.training.population import Population, is_population
-from assistax.training.run_folder import learned, read_config
+from assistax.training.run_folder import learned
 from assistax.training.team_file import params_like, read_team, trained_file
 
 

@@ -2,6 +2,7 @@
 
 config.json           what was asked for
 partners/             copies of the frozen partners that were trained, see partners.py
+start/                the run whose networks it began with, see start.py
 metrics.jsonl         evaluations.jsonl: see journal.py
 checkpoints/          the newest two, each written whole or not at all; what is large lies in pieces, see pieces.py
 learning_curve.png    summary.json    rollout.mp4
@@ -15,6 +16,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import jax
+
 from assistax.devices import check_devices
 from assistax.env import Env
 from assistax.errors import UsageError
@@ -24,11 +27,12 @@ from assistax.policies import Player, Team
 from assistax.settings import with_settings
 from assistax.stamp import stamp_changes
 from assistax.training.checkpoint import read_metadata
-from assistax.training.configuration import TrainConfig, check_settings, to_json
+from assistax.training.configuration import TrainConfig, check_settings, read_config, to_json
 from assistax.training.memory import check_memory
 from assistax.training.partners import GIVEN, find_partners, keep_partners
-from assistax.training.run_folder import learned, newest_checkpoint, read_config, snapshot
+from assistax.training.run_folder import learned, newest_checkpoint, snapshot
 from assistax.training.seeds import Seeds
+from assistax.training.start import begin, keep_start
 
 
 class Run:
@@ -62,17 +66,35 @@ class Run:
         run = cls(folder, dataclasses.replace(config, partner_copies=()), players)
         check_devices(config.devices, config.num_envs)
         check_memory(run.trainer, config.num_seeds)
+        if config.start:
+            jax.eval_shape(lambda key: run.init(key, Path(config.start)), jax.random.key(0))
         try:
             (folder / "checkpoints").mkdir(parents=True)
         except OSError as error:
             raise UsageError(f"Cannot write to {folder}: {error.strerror}.") from None
         try:
+            if config.start:
+                keep_start(Path(config.start), folder)
             run.config = dataclasses.replace(config, partner_copies=keep_partners(run.partners, folder))
             run.write_config()
         except BaseException:  # Ctrl-C, too: a folder without a configuration is of no use
             shutil.rmtree(folder, ignore_errors=True)
             raise
         return run
+
+    @property
+    def start(self) -> Path | None:
+        """The copy of the run that this one began with; None if it began with nothing."""
+        if not self.config.start:
+            return None
+        if not (self.folder / "start").is_dir():
+            raise UsageError(f"{self.folder} has lost its folder start, the run that it began with; restore it.")
+        return self.folder / "start"
+
+    def init(self, key: jax.Array, start: Path | None = None) -> Any:
+        """The fresh state of a seed, with what it begins with."""
+        start, state = start or self.start, self.trainer.init(key)
+        return state if start is None else begin(self.config, self.trainer, start, state)
 
     def write_config(self, steps: int = 0) -> None:
         """Write config.json if it has changed, as when --steps prolongs a run.

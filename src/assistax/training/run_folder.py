@@ -1,4 +1,4 @@
-"""What was trained, read from a run folder: its configuration, and the policies in its newest checkpoint."""
+"""What was trained, read from a run folder: the policies in its newest checkpoint, and earlier ones."""
 
 import dataclasses
 from pathlib import Path
@@ -7,21 +7,12 @@ from typing import Any
 import jax
 
 from assistax.errors import UsageError
-from assistax.files import read_json
-from assistax.formats import CHECKPOINT, CONFIG
+from assistax.formats import CHECKPOINT
 from assistax.tasks import stored_task
 from assistax.training.checkpoint import EVERYTHING, load_checkpoint, read_metadata, save_checkpoint
-from assistax.training.configuration import TrainConfig, stored_config
+from assistax.training.configuration import TrainConfig
 from assistax.training.seeds import Seeds
 from assistax.training.team_file import params_like
-
-
-def read_config(folder: Path) -> TrainConfig:
-    """The configuration of a run; raises UsageError if the folder is none."""
-    path = folder / "config.json"
-    if not path.exists():
-        raise UsageError(f"{folder} is not a run folder: it has no config.json.")
-    return stored_config(read_json(path, CONFIG), str(path))
 
 
 def newest_checkpoint(folder: Path) -> Path | None:

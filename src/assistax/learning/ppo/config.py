@@ -2,6 +2,9 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
 
 from assistax.errors import UsageError, choose
 from assistax.learning.networks import ACTIVATIONS
@@ -104,3 +107,10 @@ class PPOConfig:
     def constrained(self) -> bool:
         """Whether cost has a limit."""
         return self.cost_limit is not None and self.cost_limit < math.inf
+
+
+def most_log_std(config: Any, iterations: Any, steps_per_iteration: int, of: int) -> Any:
+    """The most that `log_std` may be after so many iterations of a training of `of`, with a PPOConfig's settings."""
+    until = config.exploration_steps / steps_per_iteration or QUIETER * of
+    share = jnp.minimum(iterations / until, 1.0)
+    return config.initial_log_std + share * (config.final_log_std - config.initial_log_std)

@@ -25,7 +25,7 @@ from assistax.learning.networks import gaussian_entropy, gaussian_log_prob, mlp,
 from assistax.learning.normalizer import init_stats, update_stats
 from assistax.learning.partner_model import prediction_error, remembering, unroll_actor
 from assistax.learning.partners import Partners
-from assistax.learning.ppo.config import QUIETER, PPOConfig
+from assistax.learning.ppo.config import PPOConfig, most_log_std
 from assistax.learning.ppo.constraint import check_cost, combined, in_means, init_constraint, updated
 from assistax.learning.ppo.losses import adapted_rate, clip_networks, clipped_policy_loss, value_loss
 from assistax.learning.ppo.team import TeamNetworks, beside
@@ -285,7 +285,10 @@ class PPO:
         # The first batch was played before anything was known of observations; its own statistics serve at once, as
         # a fresh actor's mean is near 0 whatever it sees. Later ones are used only from the next rollout on, so that
         # every log-probability is computed with the rollout's own numbers.
-        used = jax.tree.map(partial(jnp.where, state.iteration == 0), informed, state.normalizer)
+        used = {
+            view: jax.tree.map(partial(jnp.where, stats.count == 0.0), informed[view], stats)
+            for view, stats in state.normalizer.items()
+        }
         if self.config.constrained:
             constraint = updated(state.constraint, batch["episode_cost"], c.cost_limit, c.multiplier_gains)
             per_step = constraint.per_step + (batch["cost"].mean() - constraint.per_step) / (state.iteration + 1)
@@ -356,9 +359,7 @@ class PPO:
 
     def _quieter(self, c, params, iteration):
         """Actors whose noise is at most what is allowed by now: what noise did, their means must learn."""
-        until = c.exploration_steps / self.steps_per_iteration or QUIETER * (self._last_iteration + 1)
-        share = jnp.minimum((iteration + 1) / until, 1.0)
-        most = c.initial_log_std + share * (c.final_log_std - c.initial_log_std)
+        most = most_log_std(c, iteration + 1, self.steps_per_iteration, self._last_iteration + 1)
         actors = {name: networks["actor"] for name, networks in params.items()}
         quiet = {name: actor | {"log_std": jnp.minimum(actor["log_std"], most)} for name, actor in actors.items()}
         return {name: networks | {"actor": quiet[name]} for name, networks in params.items()}
