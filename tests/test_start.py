@@ -7,12 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from stored import SMALL, small, stored_run, train_without_pictures
+from stored import small, stored_run, train_without_pictures
 
 from assistax.errors import UsageError
-from assistax.human import Person
 from assistax.teamwork.gather import gather, taught
-from assistax.teamwork.plan import Plan
 from assistax.teamwork.strangers import knows
 from assistax.training import loop
 from assistax.training.run import Run
@@ -122,20 +120,6 @@ def test_runs_of_several_seeds_or_none_are_refused(there, tmp_path):
     ):
         with pytest.raises(UsageError, match=said):
             like(start, tmp_path / "run")
-
-
-def test_people_begin_with_one_run_after_the_other(there, tmp_path):
-    other = shutil.copytree(there, tmp_path / "other")
-    people = Person("tremor"), Person("weakness")
-    plan = Plan("scratch", people, seeds=2, settings=SMALL, starts=(str(there), str(other)))
-    plan.save(tmp_path / "pop")
-    assert Plan.load(tmp_path / "pop") == plan
-    starts = {name: config.start for name, config in plan.jobs()}
-    assert starts["0000-ippo-0"] == starts["0001-ippo-1"] == str(there)
-    assert starts["0000-ippo-1"] == starts["0001-ippo-0"] == str(other)
-    assert not any(config.snapshots or config.method.teachers for _, config in plan.jobs())
-    with pytest.raises(UsageError, match="Who begins with a run is not taught"):
-        Plan("scratch", people, taught=("offers",), starts=(str(there),))
 
 
 def test_a_started_run_continues_where_it_stopped(there, tmp_path):

@@ -75,7 +75,6 @@ PLAN: Schema = {  # of a population, see teamwork/plan.py
     "num_envs": (COUNT, None),
     "settings": {str: object},
     "taught?": [str],
-    "starts?": [str],
 }
 SPLIT: Schema = {"train": [str], "val": [str], "test": [str]}
 VALIDITY: Schema = {"ids": [str], "matrix": {"return": [[float]]}}  # and more, see teamwork/validity.py

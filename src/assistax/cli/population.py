@@ -10,7 +10,6 @@ from assistax.errors import UsageError
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POP")]
 Others = Annotated[tuple[Path, ...], tyro.conf.Positional]
-Starts = Annotated[tuple[Path, ...], tyro.conf.arg(metavar="RUN ...", help_behavior_hint="")]
 
 
 def train(
@@ -23,7 +22,6 @@ def train(
     seeds: Number = None,
     num_envs: Number = None,
     taught: Name = None,
-    starts: Starts = (),
     set: Set = (),
     resume: File = None,
     processes: Number = None,
@@ -51,7 +49,6 @@ def train(
       num_envs: environments side by side, of each training (default as in `assistax train`).
       taught: habits that the people are taught at first, one after the other: offers,offers_second_way,... (default
         none, as who is taught by one script would be like all others).
-      starts: runs of one seed whose networks people and robots begin with, one after the other, in place of teachers.
       set: change any setting of all trainings, for example ppo.gamma=0.98.
       resume: continue this population.
       processes: so many trainings side by side (default 1 in this process; of an executor as many as fit).
@@ -77,7 +74,7 @@ def train(
         sizes = seeds or 1, steps, num_envs
         habits = tuple(taught.split(",")) if taught else ()
         who = variety.people(people), tuple(algorithm.split(","))
-        wanted = plan.Plan(task, *who, *sizes, parse_assignments(set), habits, tuple(map(str, starts)))
+        wanted = plan.Plan(task, *who, *sizes, parse_assignments(set), habits)
         with writing(out):
             wanted.save(out)
     folder = Path(out or resume or "")

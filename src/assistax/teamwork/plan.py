@@ -48,7 +48,6 @@ class Plan:
     num_envs: int | None = None  # of each training; None: the default
     settings: Mapping[str, Any] = field(default_factory=dict)
     taught: tuple[str, ...] = ()  # habits that the people are taught at first, one after the other; none: no teachers
-    starts: tuple[str, ...] = ()  # runs that they begin with, one after the other; none: with nothing
 
     def __post_init__(self):
         object.__setattr__(self, "task", task_spec(self.task).id)
@@ -61,8 +60,6 @@ class Plan:
         alone = [name for name in self.algorithms if ALGORITHMS[choose("algorithm", name, ALGORITHMS)].group != "ppo"]
         if self.taught and alone:
             raise UsageError(f"Only PPO can be taught habits: leave out --taught or {', '.join(alone)}.")
-        if self.taught and self.starts:
-            raise UsageError("Who begins with a run is not taught anything; leave out --taught or --starts.")
         next(iter(self.jobs()))  # settings that cannot be are refused before anything is written
 
     def jobs(self) -> Iterator[tuple[str, TrainConfig]]:
@@ -72,17 +69,13 @@ class Plan:
             for algorithm in self.algorithms:
                 for seed in range(self.seeds):
                     name = f"{i:04d}-{algorithm}-{seed}"
-                    choices = {"algorithm": algorithm, "seed": seed, "steps": self.steps, "num_envs": self.num_envs}
                     # People who were taught by one script would all be alike.
-                    start: dict[str, Any] = {"snapshots": True}  # of those who learn, as earlier selves
-                    start |= UNTAUGHT if ALGORITHMS[algorithm].group == "ppo" else {}
+                    start = UNTAUGHT if ALGORITHMS[algorithm].group == "ppo" else {}
                     if self.taught:  # every person another habit with another seed, every habit as often
                         habit = self.taught[(i + seed) % len(self.taught)]
-                        start = {"snapshots": True, "ppo.teachers": ("robot=expert", f"human={habit}")}
-                    if self.starts:
-                        start = {}
-                        choices["start"] = self.starts[(i + seed) % len(self.starts)]
-                    settings = start | dict(self.settings) | who
+                        start = {"ppo.teachers": ("robot=expert", f"human={habit}")}
+                    settings = {"snapshots": True} | start | dict(self.settings) | who
+                    choices = {"algorithm": algorithm, "seed": seed, "steps": self.steps, "num_envs": self.num_envs}
                     yield name, configure(self.task, settings, **choices)
 
     def save(self, folder: Path) -> None:
@@ -107,8 +100,7 @@ class Plan:
         settings = {k: tuple(v) if isinstance(v, list) else v for k, v in stored["settings"].items()}
         algorithms = tuple(stored["algorithms"])
         sizes = stored["seeds"], stored["steps"], stored["num_envs"]
-        taught, starts = (tuple(stored.get(name, ())) for name in ("taught", "starts"))
-        return cls(stored["task"], people, algorithms, *sizes, settings, taught, starts)
+        return cls(stored["task"], people, algorithms, *sizes, settings, tuple(stored.get("taught", ())))
 
 
 def jobs(folder: Path, bar: Callable = progress_bar) -> list[Job]:
