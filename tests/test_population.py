@@ -264,6 +264,19 @@ def test_people_who_were_taught_one_way_are_left_out_as_wholes(population):
         splits.split(population, "taught")
 
 
+def test_earlier_selves_go_with_who_was_taught_the_same(population):
+    """Six members of one body and one seed, of whom two are earlier selves of the first two."""
+    who = [("offers", None), ("shy", None), ("offers", 0.333), ("shy", 0.333), ("follows", None), ("follows", 0.667)]
+    same = {"person": {"disability": "none", "preference": "none"}, "seed": 0}
+    teams = [
+        (row | same | {"taught": habit} | ({"fraction": share} if share else {}), team)
+        for (habit, share), (row, team) in zip(who, preferring_teams(population), strict=True)
+    ]
+    made = Population.of_teams(teams)
+    found = splits.with_earlier(made, made.select([made.ids[1]]))
+    assert found.ids == (made.ids[1], made.ids[3])
+
+
 def preferring_teams(population):
     for row in population.rows:
         one = population.select([row["id"]])

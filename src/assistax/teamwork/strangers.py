@@ -8,7 +8,7 @@ import numpy as np
 from assistax.errors import UsageError
 from assistax.policies import Player
 from assistax.training.partners import split_pair
-from assistax.training.population import Population
+from assistax.training.population import Population, self_of
 from assistax.training.run import Run
 
 
@@ -46,8 +46,8 @@ def knows(run: Run, population: Population) -> list[bool]:
 def _met(run: Run, population: Population) -> list[bool]:
     partner = run.partners.get("human")
     if partner is not None and partner.population is not None:
-        ids, selves = set(partner.population.ids), {_self(row) for row in partner.population.rows}
-        return [row["id"] in ids or _self(row) in selves for row in population.rows]
+        ids, selves = set(partner.population.ids), {self_of(row) for row in partner.population.rows}
+        return [row["id"] in ids or self_of(row) in selves for row in population.rows]
     habits = {name for agent, name in map(split_pair, run.config.partners) if agent == "human"}
     people = [partner.player] if partner is not None else [team["human"] for team in run.teams()]
     met = [actor for person in people for actor in _actors(person)]
@@ -57,11 +57,6 @@ def _met(run: Run, population: Population) -> list[bool]:
         else any(_same(population.member(row)["human"]["actor"], actor) for actor in met)
         for row in population.rows
     ]
-
-
-def _self(row: Mapping) -> tuple | str:
-    """What all earlier selves of a member have in common with it."""
-    return row["id"] if "habit" in row else (*row["person"].values(), row["algorithm"], row["seed"], row.get("taught"))
 
 
 def _actors(player: Player) -> list:

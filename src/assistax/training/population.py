@@ -270,6 +270,13 @@ def is_population(name: str | Path) -> bool:
     return any((Path(part) / MANIFEST).is_file() for part in (str(name), str(name).rpartition(":")[0] or "."))
 
 
+def self_of(row: Mapping[str, Any]) -> tuple | str:
+    """What all earlier selves of a member have in common with it, and with nobody else."""
+    if "habit" in row:
+        return row["id"]
+    return (*row["person"].values(), row["algorithm"], row["seed"], row.get("taught"))
+
+
 def is_sealed(folder: Path) -> bool:
     """Whether a population's folder tells what its manifest was; older ones do not."""
     return (folder / ABOUT).exists()

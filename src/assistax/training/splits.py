@@ -14,7 +14,7 @@ from assistax.files import read_json, write_json, writing
 from assistax.formats import SPLIT
 from assistax.human import disability, preference
 from assistax.settings import check_seed
-from assistax.training.population import Population, find
+from assistax.training.population import Population, find, self_of
 
 Split = dict[str, list[str]]
 """Ids by "train", "val" and "test"."""
@@ -194,12 +194,8 @@ def named(text: str) -> tuple[Path, Population]:
 
 def with_earlier(population: Population, chosen: Population) -> Population:
     """`chosen`, and the earlier selves that its members have in `population`: the partners of fictitious co-play."""
-
-    def who(row):
-        return tuple(row["person"].values()), row["algorithm"], row["seed"]
-
-    mine = {who(row) for row in chosen.rows}
-    earlier = [row["id"] for row in population.rows if "fraction" in row and who(row) in mine]
+    mine = {self_of(row) for row in chosen.rows}
+    earlier = [row["id"] for row in population.rows if "fraction" in row and self_of(row) in mine]
     return population.select([*chosen.ids, *earlier])
 
 
