@@ -6,6 +6,7 @@ import re
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from pages import DOCS, imported, python_blocks
 
@@ -93,6 +94,22 @@ def test_the_pages_of_the_tasks_are_what_the_tasks_say(monkeypatch):
         assert (root / path).read_text() == text, f"{path}: python tools/pages.py tasks"
         for picture in re.findall(r"!\[.*\]\((.*)\)", text):
             assert ((root / path).parent / picture).stat().st_size < 150_000
+
+
+def test_the_page_of_the_populations_is_what_they_are(monkeypatch, tmp_path):
+    """Made anew by `python tools/pages.py populations`."""
+    root = DOCS.parent
+    made = tool("population_page", monkeypatch).page(root / "populations", root / "results/teamwork", tmp_path)
+    assert (DOCS / "partners.md").read_text() == made, "python tools/pages.py populations"
+    assert all((DOCS / "images" / picture.name).exists() for picture in tmp_path.iterdir())
+
+
+def test_the_table_of_ways_leaves_out_who_learned_together(monkeypatch):
+    """Two of one way and one of another, with 1 for everybody's own robot."""
+    success = np.array([[1.0, 0.5, 0.25], [0.75, 1.0, 0.0], [0.0, 0.5, 1.0]])
+    table = tool("population_page", monkeypatch)._by_way(["a", "a", "b"], success)
+    assert [line.split("|")[2:4] for line in table.splitlines()[-2:]] == [[" 62% ", " 12% "], [" 25% ", "  "]]
+    assert tool("population_page", monkeypatch)._by_way(["", "", ""], success) == ""
 
 
 def test_the_notebook_is_the_page(monkeypatch):

@@ -4,6 +4,7 @@ python tools/pages.py measure   # results/experts.json, some minutes
 python tools/pages.py experts   # docs/experts.md, from it
 python tools/pages.py speed     # docs/speed.md, from results/bench
 python tools/pages.py results   # docs/results.md and its curves, from results/
+python tools/pages.py populations  # docs/partners.md and its pictures, from populations/ and results/teamwork
 python tools/pages.py tasks     # docs/tasks/ and its pictures, from the tasks
 python tools/pages.py notebook  # docs/first_steps.ipynb, from the page
 """
@@ -16,6 +17,7 @@ from typing import Any
 
 import notebook
 import numpy as np
+import population_page
 import task_pages
 
 from assistax.diagnostics import measurements
@@ -372,6 +374,10 @@ PAGES: dict[str, Callable[[], Mapping[Path, str | bytes]]] = {
     "experts": one(Path("docs/experts.md"), lambda: experts(read_references())),
     "speed": one(Path("docs/speed.md"), lambda: speed(Path("results/bench"), Path("docs/images"))),
     "results": one(Path("docs/results.md"), lambda: results(Path("results"), Path("docs/images"))),
+    "populations": one(
+        Path("docs/partners.md"),
+        lambda: population_page.page(Path("populations"), Path("results/teamwork"), Path("docs/images")),
+    ),
     "notebook": one(notebook.NOTEBOOK, lambda: notebook.notebook(notebook.PAGE.read_text())),
     "tasks": lambda: {**task_pages.pages(), **task_pages.pictures()},
 }

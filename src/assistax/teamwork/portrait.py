@@ -1,6 +1,7 @@
 """A picture of a population: who there is, and what they reach with the robots that they learned with."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
@@ -19,19 +20,8 @@ def portrait(population: Population, path: Path) -> None:
 
     A cell is the mean over the algorithms and seeds of this person; nobody is there where it is empty.
     """
-    rows = [row for row in population.rows if "fraction" not in row and "mean_return" in row]
-    if not rows:
-        raise UsageError("No member of this population says what it reaches; there is nothing to draw.")
-    bodies = list(dict.fromkeys(row["person"]["disability"] for row in rows))
-    tastes = list(dict.fromkeys(map(_taste, rows)))
-    cells: dict[str, np.ndarray] = {}
-    for name in ("safe_success_rate", "mean_return"):
-        cells[name] = np.full((len(bodies), len(tastes)), np.nan)
-        for i, body in enumerate(bodies):
-            for j, taste in enumerate(tastes):
-                mine = [r[name] for r in rows if (r["person"]["disability"], _taste(r)) == (body, taste) and name in r]
-                if mine:
-                    cells[name][i, j] = np.mean(mine)
+    bodies, tastes, cells = by_person(population)
+    number = len(_measured(population))
     with rc_context(STYLE):
         figure = Figure(figsize=(3.4 + 1.6 * min(len(tastes), MANY), 1.6 + 0.36 * len(bodies)), layout="constrained")
         titles = {"safe_success_rate": "safe success", "mean_return": "return"}
@@ -45,14 +35,40 @@ def portrait(population: Population, path: Path) -> None:
                     j, i, text, ha="center", va="center", color="white" if value < middle else "black", fontsize=8
                 )
             if len(tastes) <= MANY:
-                axes.set_xticks(range(len(tastes)), [_short(*taste) for taste in tastes], fontsize=7)
+                axes.set_xticks(range(len(tastes)), tastes, fontsize=7)
             else:
                 axes.set_xlabel(f"{len(tastes)} preferences and ways")
             axes.set_yticks(range(len(bodies)), bodies)
             axes.set_title(titles[name])
             axes.grid(visible=False)
-        figure.suptitle(f"{population.task}: {len(rows)} members with their own robots", fontsize=10)
+        figure.suptitle(f"{population.task}: {number} members with their own robots", fontsize=10)
         save(figure, path, dpi=150)
+
+
+def by_person(population: Population) -> tuple[list[str], list[str], dict[str, np.ndarray]]:
+    """Bodies, preferences with what was taught, and safe success and return in self-play [bodies, preferences].
+
+    NaN where nobody is. Raises UsageError if nobody says what it reaches.
+    """
+    rows = _measured(population)
+    if not rows:
+        raise UsageError("No member of this population says what it reaches; there is nothing to draw.")
+    bodies = list(dict.fromkeys(row["person"]["disability"] for row in rows))
+    tastes = list(dict.fromkeys(map(_taste, rows)))
+    cells: dict[str, np.ndarray] = {}
+    for name in ("safe_success_rate", "mean_return"):
+        cells[name] = np.full((len(bodies), len(tastes)), np.nan)
+        for i, body in enumerate(bodies):
+            for j, taste in enumerate(tastes):
+                mine = [r[name] for r in rows if (r["person"]["disability"], _taste(r)) == (body, taste) and name in r]
+                if mine:
+                    cells[name][i, j] = np.mean(mine)
+    return bodies, [_short(*taste) for taste in tastes], cells
+
+
+def _measured(population: Population) -> list[dict[str, Any]]:
+    """The members, without their earlier selves, who say what they reach."""
+    return [row for row in population.rows if "fraction" not in row and "mean_return" in row]
 
 
 def _taste(row) -> tuple[str, str]:

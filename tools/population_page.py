@@ -1,0 +1,112 @@
+"""docs/partners.md: the populations that come with the project, from their manifests and their cross-play."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from assistax.files import read_json
+from assistax.formats import SPLIT, VALIDITY
+from assistax.results.comparison import markdown
+from assistax.teamwork.portrait import by_person
+from assistax.teamwork.validity import matrix_picture
+from assistax.training.population import MANIFEST, Population
+
+PAGE = """# The people who come with the project
+
+[Populations](populations.md) of people who learned with a robot of their own. Written from `populations/` and
+`results/teamwork/*/validity.json` by `python tools/pages.py populations`; [ad-hoc teamwork](teamwork.md) has what
+robots reach that meet them.
+
+{each}
+"""
+ONE = """## {task}
+
+`populations/{task}` has {members} people with their robots{others}, by {algorithms}, {steps}.
+What each reaches with its own robot, safe success and, in brackets, the return:
+
+{self_play}
+{splits}
+{crossplay}"""
+CROSSPLAY = """
+### Who can work with whom
+
+{pairs} of the episodes succeed with one's own robot, {crossed} with the others' ({number} robots by {number} people,
+{episodes} episodes of each pair). The best single robot has {single} with all of them, the scripted one, which is told
+everything, {expert}. {verdict}
+
+![Who works with whom](images/crossplay_{task}.png)
+{ways}"""
+WAYS = """
+Success by what the people were taught; on the diagonal, too, robot and person have not learned together:
+
+{table}
+"""
+
+
+def page(folder: Path, results: Path, pictures: Path) -> str:
+    """The page; pictures of cross-play go to the folder `pictures`."""
+    each = [_one(path.parent, results, pictures) for path in sorted(folder.glob(f"*/{MANIFEST}"))]
+    return PAGE.format(each="\n\n".join(text.strip() for text in each))
+
+
+def _one(folder: Path, results: Path, pictures: Path) -> str:
+    population = Population.load(folder)
+    rows = [row for row in population.rows if "fraction" not in row]
+    earlier, habits = len(population) - len(rows), sum("habit" in row for row in rows)
+    bodies, tastes, cells = by_person(population)
+    table = []
+    for body, safe, returns in zip(bodies, cells["safe_success_rate"], cells["mean_return"], strict=True):
+        table.append([body, *("" if np.isnan(x) else f"{x:.0%} ({r:.0f})" for x, r in zip(safe, returns, strict=True))])
+    steps = sorted({row["steps"] / 1e6 for row in rows if "habit" not in row})
+    splits = [f"`{path.stem}` ({_sizes(path)})" for path in sorted((folder / "splits").glob("*.json"))]
+    found = results / population.task / "validity.json"
+    return ONE.format(
+        task=population.task,
+        members=len(rows) - habits,
+        others=f", {earlier} earlier selves of them" * (earlier > 0) + f", {habits} people with habits" * (habits > 0),
+        algorithms=", ".join(sorted({row["algorithm"] for row in rows if "habit" not in row})).upper(),
+        steps=" or ".join(f"{x:.1f}" for x in steps) + " M steps each",
+        self_play=markdown(["body", *(re.sub(r"\s+", " ", taste) for taste in tastes)], table),
+        splits=f"\nSplits, with how many are to train, to develop and to test with: {', '.join(splits)}.\n"
+        * bool(splits),
+        crossplay=_crossplay(population, read_json(found, VALIDITY), pictures) if found.exists() else "",
+    )
+
+
+def _sizes(path: Path) -> str:
+    parts = read_json(path, SPLIT)
+    return ", ".join(str(len(parts[name])) for name in ("train", "val", "test"))
+
+
+def _crossplay(population: Population, found: Mapping[str, Any], pictures: Path) -> str:
+    matrix_picture(found, pictures / f"crossplay_{population.task}.png")
+    rows = {row["id"]: row for row in population.rows}
+    expert = found["others"]["expert"]["success"]
+    return CROSSPLAY.format(
+        task=population.task,
+        pairs=f"{found['self_play']['success']:.0%}",
+        crossed=f"{found['cross_play']['success']:.0%}",
+        number=len(found["ids"]),
+        episodes=found["episodes"],
+        single=f"{found['best_single']['success']['mean']:.0%}",
+        expert=f"{sum(expert) / len(expert):.0%}",
+        verdict="So partners matter in this task." if found["valid"] else f"Partners do not matter: {found['why']}.",
+        ways=_by_way([rows[one].get("taught", "") for one in found["ids"]], np.array(found["matrix"]["success"])),
+    )
+
+
+def _by_way(taught: list[str], success: np.ndarray) -> str:
+    """A table of the means over pairs, without those who learned together; "" if nobody was taught."""
+    ways = [way for way in dict.fromkeys(taught) if way]
+    if len(ways) < 2:
+        return ""
+    apart = np.where(np.eye(len(success), dtype=bool), np.nan, success)
+    of = {way: np.array([one == way for one in taught]) for way in ways}
+    table = []
+    for mine in ways:
+        pairs = [apart[np.ix_(of[mine], of[theirs])] for theirs in ways]
+        table.append([mine, *("" if np.isnan(x).all() else f"{np.nanmean(x):.0%}" for x in pairs)])
+    return WAYS.format(table=markdown(["robot of / person of", *ways], table))
