@@ -5,12 +5,15 @@ from pathlib import Path
 
 import pytest
 from commands import assistax
+from pages import DOCS
 
 import assistax.experiments as all_experiments
 from assistax.cli.common import duration
 from assistax.errors import UsageError
 from assistax.executors.local import Local
 from assistax.experiments import advance, choose_experiments, experiments, status
+from assistax.training import splits
+from assistax.training.population import Population
 
 
 @dataclass(frozen=True)
@@ -134,10 +137,36 @@ def test_the_list_begins_with_five_seeds_of_every_task():
         assert len([name for name in names if pattern in name]) == count, pattern
 
 
-def test_a_person_who_does_nothing_is_a_frozen_partner(tmp_path, monkeypatch):
-    asked = []
-    monkeypatch.setattr("assistax.training.run.Run.create", lambda config, folder: asked.append(config))
+@pytest.fixture
+def asked(monkeypatch):
+    """The configurations of trainings that are begun, and then are not."""
+    configs = []
+    monkeypatch.setattr("assistax.training.run.Run.create", lambda config, folder: configs.append(config))
+    monkeypatch.setattr("assistax.training.run.Run.open", lambda folder: None)
     monkeypatch.setattr("assistax.training.loop.train", lambda run, seconds: None)
+    return configs
+
+
+def test_robots_learn_beside_the_people_of_the_split(asked, tmp_path, monkeypatch):
+    monkeypatch.chdir(DOCS.parent)
+    splits.save(tmp_path / "taught.json", splits.split(Population.load("populations/scratch-v1"), "taught"))
+    monkeypatch.setattr(splits, "path_of", lambda folder, kind: tmp_path / f"{kind}.json")
+    chosen = [e for e in experiments() if e.name.startswith("teamwork/scratch-v1/runs/taught-")]
+    assert len(chosen) == 3 + 2 * 7 and len({e.name for e in chosen}) == len(chosen)
+    for one in chosen:
+        assert one.advance(tmp_path / "none", 1.0) is None
+    by_method = dict(zip([one.method for one in chosen], asked, strict=True))
+    train = splits.named("populations/scratch-v1:taught/train")[1]
+    assert by_method["best-response"].partners == ("human=populations/scratch-v1:taught/train",)
+    assert by_method["best-response"].env.human.people == train.people and by_method["best-response"].method.teachers
+    assert by_method["fcp"].partners == ("human=populations/scratch-v1:taught/train+earlier",)
+    assert len(by_method["fcp"].env.human.people) == 3 * len(train)
+    assert by_method["self-play"].partners == () and by_method["self-play"].env.human.people == train.people
+    assert by_method["gru"].method.recurrent and by_method["liam"].method.partner_code == 16
+    assert by_method["oracle"].env.human.visibility == "oracle" and not by_method["untaught"].method.teachers
+
+
+def test_a_person_who_does_nothing_is_a_frozen_partner(asked, tmp_path):
     for pattern in ("version1/feeding-ippo-default-still-2M-0", "feeding-ippo-default-tremor+weakness-10M-0"):
         (experiment,) = [e for e in experiments() if e.name == pattern]
         assert experiment.advance(tmp_path / "none", 1.0) is None

@@ -28,6 +28,7 @@ from assistax.teamwork import gather as gathering
 from assistax.teamwork.gather import gather
 from assistax.teamwork.plan import Plan
 from assistax.teamwork.plan import train as train_plan
+from assistax.teamwork.strangers import knows
 from assistax.training import journal, loop, splits
 from assistax.training.configuration import configure, trained_env
 from assistax.training.partners import find_partner
@@ -538,6 +539,15 @@ def test_a_population_is_a_partner_by_name(teams, tmp_path, monkeypatch):
     strangers = f"human={folder}:algorithm/train"  # other people than those of training
     met = assistax_command("evaluate", out, "--partner", strangers, "--episodes", 2, "--json")
     assert json.loads(met.stdout)["partners"] == [strangers]
+    result = tmp_path / "result"  # which has no copy, and finds the population while it is what it was
+    result.mkdir()
+    for name in ("config.json", "policies.safetensors"):
+        shutil.copy(out / name, result)
+    assert Run.open(result).partners["human"].population.ids == chosen.ids
+    assert [knows(Run.open(result), chosen.select([one])) for one in chosen.ids] == [[True]] * len(chosen)
+    splits.save(splits.path_of(folder, "algorithm"), {"train": chosen.ids[1:], "val": [], "test": chosen.ids[:1]})
+    with pytest.raises(UsageError, match=r"result has no copy of its human, in a folder partners, and .* no longer"):
+        Run.open(result)
     shutil.rmtree(folder)  # the run has its own copy
     run = Run.open(out)
     assert run.trainer.learners == ("robot",) and run.env.config.human.people == chosen.people

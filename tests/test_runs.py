@@ -143,6 +143,25 @@ def test_a_team_file_plays_as_its_run(evaluated, tmp_path):
         load_team(run.newest_checkpoint())
 
 
+def test_a_result_without_checkpoints_plays_and_is_no_run_to_go_on_with(evaluated, tmp_path):
+    """Both seeds, each with its own weights, in half precision."""
+    run, summary = evaluated
+    folder = tmp_path / "result"
+    folder.mkdir()
+    for name in ("config.json", "summary.json", "policies.safetensors"):
+        shutil.copy(run.folder / name, folder)
+    result = Run.open(folder)
+    assert result.measured(1)["mean_return"] == summary["evaluation"][1]["mean_return"]
+    for mine, theirs in zip(result.teams(), run.teams(), strict=True):
+        for agent, player in mine.items():
+            pairs = zip(jax.tree.leaves(player.params), jax.tree.leaves(theirs[agent].params), strict=True)
+            assert all(np.array_equal(a, np.asarray(b, np.float16)) for a, b in pairs if a.ndim > 2)
+    first, second = (jax.tree.leaves(team["human"].params)[0] for team in result.teams())
+    assert not np.array_equal(first, second)
+    with pytest.raises(UsageError, match="without checkpoints, which cannot continue"):
+        train(result)
+
+
 def test_a_team_file_says_what_the_team_reached(evaluated, tmp_path):
     run, summary = evaluated
     path = tmp_path / "team.safetensors"

@@ -40,8 +40,26 @@ PEOPLE: dict[str, dict[str, Any]] = {
     "-preferences": {"env.human.preference": "sweep"},
     **{f"-{name}": {"env.human.disability": name} for name in DISABILITIES},
 }
+# Robots that learn beside the people of a population, by method: how, with which people ("" with none of them, but with
+# their bodies), and with or without memory. docs/teamwork.md names the papers.
+METHODS: dict[str, tuple[dict[str, Any], str, bool]] = {
+    "best-response": ({}, "train", False),
+    "untaught": (UNTAUGHT, "train", False),
+    "fcp": ({}, "train+earlier", False),
+    "oracle": ({"env.human.visibility": "oracle"}, "train", False),
+    "gru": ({}, "train", True),
+    "liam": ({"ppo.partner_code": 16}, "train", False),
+    "self-play": ({}, "", False),
+    "e3t": ({"env.human.random_share": 0.25}, "", False),
+}
 WORKERS = "workers"  # folder of their claims and logs, where the work is done
 KEPT = ("config.json", "evaluations.jsonl", "summary.json", "learning_curve.png")  # of a finished run
+PLAYABLE = (
+    "config.json",
+    "evaluations.jsonl",
+    "summary.json",
+    "policies.safetensors",
+)  # of a robot
 
 
 class Experiment(Protocol):
@@ -83,26 +101,55 @@ class Training:
         return f"{folder}{self.task}-{who}-{self.steps // 1_000_000}M-{self.seed}"
 
     def progress(self, work: Path) -> float:
-        saved = [int(path.stem.split("_")[1]) for path in (work / "checkpoints").glob("step_*.safetensors")]
-        return min(1.0, max(saved, default=0) / self.steps)
+        return min(1.0, _saved(work) / self.steps)
 
     def advance(self, work: Path, seconds: float) -> list[Path] | None:
         from assistax.training.configuration import configure
-        from assistax.training.loop import train
         from assistax.training.run import Run
 
-        if (work / "config.json").exists():
-            run = Run.open(work)
-        else:
+        if not (work / "config.json").exists():
             algorithm, _, memory = self.algorithm.partition("-")
             choices: dict[str, Any] = {"algorithm": algorithm, "recurrent": bool(memory), "preset": self.preset}
             choices |= {"partners": ("human=still",)} if self.people == STILL else {}
             settings = PEOPLE[self.people] | {"evaluations": min(40, max(10, self.steps // 500_000))}
             task = f"{self.task}-v{self.version}"
-            run = Run.create(configure(task, settings, steps=self.steps, seed=self.seed, **choices), work)
-        if train(run, seconds) is None:
-            return None
-        return [work / name for name in KEPT]
+            Run.create(configure(task, settings, steps=self.steps, seed=self.seed, **choices), work)
+        return _train(work, seconds, KEPT)
+
+
+@dataclass(frozen=True)
+class Robot:
+    """One seed of a robot that learns beside people of a population of ours, to meet others of it."""
+
+    task: str  # with its version
+    split: str
+    method: str  # key of METHODS
+    seed: int
+    steps: int
+    shows: ClassVar[str] = "strangers"
+
+    @property
+    def name(self) -> str:
+        return f"teamwork/{self.task}/runs/{self.split}-{self.method}-{self.seed}"
+
+    def progress(self, work: Path) -> float:
+        return min(1.0, _saved(work) / self.steps)
+
+    def advance(self, work: Path, seconds: float) -> list[Path] | None:
+        from assistax.training import splits
+        from assistax.training.configuration import configure
+        from assistax.training.run import Run
+
+        if not (work / "config.json").exists():
+            population = f"populations/{self.task}:{self.split}"
+            settings, part, recurrent = METHODS[self.method]
+            choices: dict[str, Any] = {"recurrent": recurrent, "steps": self.steps, "seed": self.seed}
+            if part:
+                choices["partners"] = (f"human={population}/{part}",)
+            else:
+                settings = settings | {"env.human.people": splits.named(f"{population}/train")[1].people}
+            Run.create(configure(self.task, dict(settings), **choices), work)
+        return _train(work, seconds, PLAYABLE)
 
 
 @dataclass(frozen=True)
@@ -138,6 +185,20 @@ class Sweeping:
         return [work / name for name in ("sweep.json", "ranking.json")] + sorted(work.glob("*.png"))
 
 
+def _saved(work: Path) -> int:
+    """The steps of the newest checkpoint."""
+    return max((int(p.stem.split("_")[1]) for p in (work / "checkpoints").glob("step_*.safetensors")), default=0)
+
+
+def _train(work: Path, seconds: float, kept: Sequence[str]) -> list[Path] | None:
+    from assistax.training.loop import train
+    from assistax.training.run import Run
+
+    if train(Run.open(work), seconds) is None:
+        return None
+    return [work / name for name in kept]
+
+
 def _trainings(
     algorithm: str,
     preset: str,
@@ -160,11 +221,19 @@ def _trainings(
         yield from (Training(task, algorithm, preset, people, seed, steps or usual(task), version) for task in tasks)
 
 
+def _robots(task: str, split: str, steps: int, seeds: int | None) -> Iterator[Experiment]:
+    """Of every method, three seeds of the first and two of the others."""
+    for method in METHODS:
+        number = seeds or (3 if method == "best-response" else 2)
+        yield from (Robot(task, split, method, seed, steps) for seed in range(number))
+
+
 def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     """All of them, what matters most first; `seeds` of each training, or as many as are planned of it."""
     some = ("scratch", "arm_assist", "feeding")
     yield from _trainings("ippo", "default", "", seeds or 5)
     yield from _trainings("ippo", "default", "-preferences", seeds or 3)
+    yield from _robots("scratch-v1", "taught", 4_000_000, seeds)
     yield from _trainings("ippo", "default", STILL, seeds or 3)
     yield from _trainings("mappo", "default", "", seeds or 3)
     for name in DISABILITIES:

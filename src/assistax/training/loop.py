@@ -27,7 +27,7 @@ from assistax.training.journal import Journal
 from assistax.training.lock import locked
 from assistax.training.loggers import Loggers, check_loggers
 from assistax.training.run import Run
-from assistax.training.run_folder import check_checkpoint, save_snapshot
+from assistax.training.run_folder import check_checkpoint, learned, save_policies, save_snapshot
 
 CHECKPOINT_SECONDS = 60.0
 _COMPILING = "Compiling, which takes some ten seconds."
@@ -257,6 +257,8 @@ class _Training:
         if self.stop.signalled:
             return None
         each = [summarize(result) for result in results]
+        policies = learned(run.folder, config, self.trainer)
+        save_policies(run.folder, config, run.iterations * run.steps_per_iteration, policies)
         spent = self.clock.seconds
         steps = run.iterations * run.steps_per_iteration
         summary = {

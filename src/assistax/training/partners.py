@@ -62,7 +62,7 @@ def find_partners(
             players[agent].check(env)
             partners[agent] = Partner(players[agent])
         elif agent in copies:
-            partners[agent] = _of_copy(folder, copies[agent], env, agent)
+            partners[agent] = _of_copy(folder, copies[agent], env, agent, name)
         else:
             partners[agent] = find_partner(name, env, agent)
     return partners
@@ -150,8 +150,16 @@ def _of_run(folder: Path, env: Env, agent: str) -> Partner:
     return _trained(trainer, params, False, to_json(config))
 
 
-def _of_copy(folder: Path, expected: str, env: Env, agent: str) -> Partner:
+def _of_copy(folder: Path, expected: str, env: Env, agent: str, name: str) -> Partner:
+    """From the run's own copy; of a result, which has none, from the population of this name, if it is still that."""
     path = _path(folder, agent)
+    if not path.parent.is_dir():
+        if is_population(name) and (population := splits.named(name)[1]).hash == expected:
+            return _of_population(population, name, env, agent)
+        raise UsageError(
+            f"{folder} has no copy of its {agent}, in a folder partners, and {name} is not, or no longer, the "
+            "population that it was begun with."
+        )
     if path.with_suffix("").is_dir():
         population = Population.load(path.with_suffix(""))
         if population.hash != expected:

@@ -5,7 +5,7 @@ partners/             copies of the frozen partners that were trained, see partn
 start/                the run whose networks it began with, see start.py
 metrics.jsonl         evaluations.jsonl: see journal.py
 checkpoints/          the newest two, each written whole or not at all; what is large lies in pieces, see pieces.py
-learning_curve.png    summary.json    rollout.mp4
+learning_curve.png    summary.json    rollout.mp4    policies.safetensors
 """
 
 import dataclasses
@@ -30,7 +30,7 @@ from assistax.training.checkpoint import read_metadata
 from assistax.training.configuration import TrainConfig, check_settings, read_config, to_json
 from assistax.training.memory import check_memory
 from assistax.training.partners import GIVEN, find_partners, keep_partners
-from assistax.training.run_folder import learned, newest_checkpoint, snapshot
+from assistax.training.run_folder import learned, newest_checkpoint, playable, snapshot
 from assistax.training.seeds import Seeds
 from assistax.training.start import begin, keep_start
 
@@ -146,7 +146,7 @@ class Run:
         return newest_checkpoint(self.folder)
 
     def teams(self, deterministic: bool | None = None) -> list[Team]:
-        """The policies of each seed, from the newest checkpoint."""
+        """The policies of each seed, from the newest checkpoint or, of a result without, in half precision."""
         params = learned(self.folder, self.config, self.trainer)
         return [self._team(mine, deterministic) for mine in params]
 
@@ -155,7 +155,7 @@ class Run:
 
         Also None in a run that has been prolonged and is past what its summary tells of.
         """
-        path, checkpoint = self.folder / "summary.json", self.newest_checkpoint()
+        path, checkpoint = self.folder / "summary.json", playable(self.folder)
         summary = read_json(path, SUMMARY) if path.exists() else {}
         if checkpoint is None or summary.get("steps") != read_metadata(checkpoint)["steps"]:
             return None

@@ -44,12 +44,12 @@ def save_team(path: Path, team: Team, config: TrainConfig, measured: dict[str, A
         raise UsageError(f"A team file is called NAME.safetensors, not {path.name!r}.")
     if absent := ", ".join(text.partition("=")[0] for text in config.partners):
         raise UsageError(f"Only whole teams can be exported; in this run the {absent} did not learn.")
-    params = {agent: _smaller(player.member(0)) for agent, player in team.items()}
+    params = {agent: in_half(player.member(0)) for agent, player in team.items()}
     about = {"team": to_json(dataclasses.replace(config, num_seeds=1))}
     save_checkpoint(path, params, about | ({"measured": measured} if measured else {}))
 
 
-def _smaller(params: Any) -> Any:
+def in_half(params: Any) -> Any:
     """What is called "actor" in half precision; other numbers, as a normaliser's, may be beyond that."""
     if not isinstance(params, dict) or "actor" not in params:
         return params
