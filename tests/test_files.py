@@ -22,10 +22,9 @@ from assistax.evaluation.filmed import Filmed
 from assistax.files import mismatch, read_json, read_rows, write_atomically, writing
 from assistax.results.stored import find_runs
 from assistax.training.checkpoint import EVERYTHING, content_hash, load_checkpoint, read_metadata, save_checkpoint
-from assistax.training.configuration import configure
+from assistax.training.configuration import configure, read_config
 from assistax.training.loop import train
 from assistax.training.run import Run
-from assistax.training.run_folder import read_config
 
 # -- JSON --------------------------------------------------------------------------------------
 

@@ -22,9 +22,9 @@ from assistax.results.comparison import read_references, report, tables
 from assistax.results.stored import StoredRun, curve, experiments, find_runs
 from assistax.training import pieces
 from assistax.training.checkpoint import EVERYTHING, content_hash, load_checkpoint, read_metadata, save_checkpoint
-from assistax.training.configuration import trained_env
+from assistax.training.configuration import read_config, trained_env
 from assistax.training.run import Run
-from assistax.training.run_folder import check_checkpoint, read_config
+from assistax.training.run_folder import check_checkpoint
 from assistax.training.sweep import Sweep, rank, read_sweep
 from assistax.training.team_file import params_like, read_team
 
