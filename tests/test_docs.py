@@ -107,9 +107,18 @@ def test_the_page_of_the_populations_is_what_they_are(monkeypatch, tmp_path):
 def test_the_table_of_ways_leaves_out_who_learned_together(monkeypatch):
     """Two of one way and one of another, with 1 for everybody's own robot."""
     success = np.array([[1.0, 0.5, 0.25], [0.75, 1.0, 0.0], [0.0, 0.5, 1.0]])
-    table = tool("population_page", monkeypatch)._by_way(["a", "a", "b"], success)
-    assert [line.split("|")[2:4] for line in table.splitlines()[-2:]] == [[" 62% ", " 12% "], [" 25% ", "  "]]
-    assert tool("population_page", monkeypatch)._by_way(["", "", ""], success) == ""
+    matrix = {"success": success, "safe_success": success}
+    rows = [{"taught": way, "person": {"disability": body}} for way, body in zip("aab", "xyy", strict=True)]
+    lines = tool("population_page", monkeypatch)._by_way(rows, matrix).splitlines()
+    assert [line.split("|")[2:4] for line in lines[5:7]] == [[" 62% ", " 12% "], [" 25% ", "  "]]
+    assert [line.split("|")[2:4] for line in lines[-4:]] == [
+        [" 3 ", " 100% "],
+        [" 2 ", " 25% "],  # one body, two ways
+        [" 2 ", " 62% "],  # two bodies, one way
+        [" 2 ", " 12% "],
+    ]
+    untaught = [row | {"taught": ""} for row in rows]
+    assert tool("population_page", monkeypatch)._by_way(untaught, matrix) == ""
 
 
 def test_the_notebook_is_the_page(monkeypatch):

@@ -43,6 +43,10 @@ WAYS = """
 Success by what the people were taught; on the diagonal, too, robot and person have not learned together:
 
 {table}
+
+Safe success by what robot and person have in common:
+
+{kinds}
 """
 
 
@@ -94,12 +98,13 @@ def _crossplay(population: Population, found: Mapping[str, Any], pictures: Path)
         single=f"{found['best_single']['success']['mean']:.0%}",
         expert=f"{sum(expert) / len(expert):.0%}",
         verdict="So partners matter in this task." if found["valid"] else f"Partners do not matter: {found['why']}.",
-        ways=_by_way([rows[one].get("taught", "") for one in found["ids"]], np.array(found["matrix"]["success"])),
+        ways=_by_way([rows[one] for one in found["ids"]], found["matrix"]),
     )
 
 
-def _by_way(taught: list[str], success: np.ndarray) -> str:
-    """A table of the means over pairs, without those who learned together; "" if nobody was taught."""
+def _by_way(rows: list[Mapping[str, Any]], matrix: Mapping[str, Any]) -> str:
+    """Tables of the means over pairs, the first without those who learned together; "" if nobody was taught."""
+    taught, success = [row.get("taught", "") for row in rows], np.array(matrix["success"])
     ways = [way for way in dict.fromkeys(taught) if way]
     if len(ways) < 2:
         return ""
@@ -109,4 +114,18 @@ def _by_way(taught: list[str], success: np.ndarray) -> str:
     for mine in ways:
         pairs = [apart[np.ix_(of[mine], of[theirs])] for theirs in ways]
         table.append([mine, *("" if np.isnan(x).all() else f"{np.nanmean(x):.0%}" for x in pairs)])
-    return WAYS.format(table=markdown(["robot of / person of", *ways], table))
+    return WAYS.format(table=markdown(["robot of / person of", *ways], table), kinds=_by_kind(rows, matrix))
+
+
+def _by_kind(rows: list[Mapping[str, Any]], matrix: Mapping[str, Any]) -> str:
+    """A table of who learned together, and of the others by whether body and way are the same."""
+    bodies, ways = [row["person"]["disability"] for row in rows], [row.get("taught", "") for row in rows]
+    together = np.eye(len(rows), dtype=bool)
+    body, way = (np.equal.outer(np.array(x), np.array(x)) for x in (bodies, ways))
+    kinds = {"learned together": together}
+    for same_body, words in ((True, "the same body"), (False, "another body")):
+        for same_way, taught in ((True, "taught the same way"), (False, "taught another way")):
+            kinds[f"learned apart, {words}, {taught}"] = ~together & (body == same_body) & (way == same_way)
+    safe = np.array(matrix["safe_success"])
+    cells = [[name, str(there.sum()), f"{safe[there].mean():.0%}"] for name, there in kinds.items() if there.any()]
+    return markdown(["robot and person", "pairs", "safe success"], cells)

@@ -54,12 +54,7 @@ METHODS: dict[str, tuple[dict[str, Any], str, bool]] = {
 }
 WORKERS = "workers"  # folder of their claims and logs, where the work is done
 KEPT = ("config.json", "evaluations.jsonl", "summary.json", "learning_curve.png")  # of a finished run
-PLAYABLE = (
-    "config.json",
-    "evaluations.jsonl",
-    "summary.json",
-    "policies.safetensors",
-)  # of a robot
+PLAYABLE = (*KEPT[:3], "policies.safetensors")  # of a finished robot
 
 
 class Experiment(Protocol):
@@ -101,7 +96,7 @@ class Training:
         return f"{folder}{self.task}-{who}-{self.steps // 1_000_000}M-{self.seed}"
 
     def progress(self, work: Path) -> float:
-        return min(1.0, _saved(work) / self.steps)
+        return _share_of(work, self.steps)
 
     def advance(self, work: Path, seconds: float) -> list[Path] | None:
         from assistax.training.configuration import configure
@@ -133,7 +128,7 @@ class Robot:
         return f"teamwork/{self.task}/runs/{self.split}-{self.method}-{self.seed}"
 
     def progress(self, work: Path) -> float:
-        return min(1.0, _saved(work) / self.steps)
+        return _share_of(work, self.steps)
 
     def advance(self, work: Path, seconds: float) -> list[Path] | None:
         from assistax.training import splits
@@ -185,9 +180,10 @@ class Sweeping:
         return [work / name for name in ("sweep.json", "ranking.json")] + sorted(work.glob("*.png"))
 
 
-def _saved(work: Path) -> int:
-    """The steps of the newest checkpoint."""
-    return max((int(p.stem.split("_")[1]) for p in (work / "checkpoints").glob("step_*.safetensors")), default=0)
+def _share_of(work: Path, steps: int) -> float:
+    """The fraction of these steps that the newest checkpoint has."""
+    saved = [int(path.stem.split("_")[1]) for path in (work / "checkpoints").glob("step_*.safetensors")]
+    return min(1.0, max(saved, default=0) / steps)
 
 
 def _train(work: Path, seconds: float, kept: Sequence[str]) -> list[Path] | None:

@@ -12,6 +12,7 @@ from typing import Any
 import jax
 
 from assistax.errors import UsageError
+from assistax.files import writing
 from assistax.learning.trainer import Trainer
 from assistax.training.checkpoint import load_checkpoint
 from assistax.training.configuration import TrainConfig, read_config
@@ -24,12 +25,13 @@ def keep_start(start: Path, folder: Path) -> None:
     newest = newest_checkpoint(start)
     assert newest is not None
     to = folder / "start"
-    (to / "checkpoints").mkdir(parents=True)
-    for path in (start / "config.json", newest):
-        shutil.copyfile(path, to / path.relative_to(start))
-    for name in ("partners", "start"):
-        if (start / name).is_dir():
-            shutil.copytree(start / name, to / name)
+    with writing(to):
+        (to / "checkpoints").mkdir(parents=True)
+        for path in (start / "config.json", newest):
+            shutil.copyfile(path, to / path.relative_to(start))
+        for name in ("partners", "start"):
+            if (start / name).is_dir():
+                shutil.copytree(start / name, to / name)
 
 
 def begin(config: TrainConfig, trainer: Trainer, start: Path, state: Any) -> Any:
