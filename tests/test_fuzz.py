@@ -15,7 +15,7 @@ from stored import small, store_checkpoint, stored_run, stored_team
 from test_results import RECORDS, write_run
 
 from assistax.errors import UsageError
-from assistax.files import read_rows
+from assistax.files import read_json
 from assistax.formats import PARTNER, TRIAL, UNFINISHED
 from assistax.human.population import people
 from assistax.results.comparison import read_references, report, tables
@@ -42,7 +42,8 @@ def readers(tmp_path_factory):
     saved = store_checkpoint(Run.open(run.folder), 64)
     copied = run.folder / "partners" / "human.safetensors"
     sweep = Sweep.create(small(), place / "sweep", 2, {"ppo.gamma": "0.9:0.99"}).folder
-    (sweep / "trials.jsonl").write_text(2 * (json.dumps(TRIAL_ROW) + "\n"))
+    trial = sweep / "trial.json"
+    trial.write_text(json.dumps(TRIAL_ROW))
     unfinished = sweep / "unfinished.safetensors"
     save_checkpoint(unfinished, {}, {"trials": [[0, 0]], "points": [[[1.0, 1, 1.0]]], "seconds": {"training": 1.0}})
     state = {"ring": np.arange(64, dtype=np.float32).reshape(1, 64), "n": np.zeros(1, np.int32)}
@@ -88,7 +89,7 @@ def readers(tmp_path_factory):
         place / "experts.json": tabulate,
         place / "people.json": people,
         sweep / "sweep.json": lambda path: read_sweep(path.parent),
-        sweep / "trials.jsonl": lambda path: rank(read_rows(path, TRIAL)),
+        trial: lambda path: rank([read_json(path, TRIAL)]),
         place / "step_1.safetensors": lambda path: pieces.load(path, state),
         unfinished: lambda path: read_metadata(path, UNFINISHED),
         saved: checkpoint,

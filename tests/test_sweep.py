@@ -10,11 +10,13 @@ from types import SimpleNamespace
 import jax
 import numpy as np
 import pytest
+from commands import assistax as assistax_command
 from games import Cue
 from scipy import stats as scipy_stats
 
 import assistax.training.sweep
 from assistax.errors import UsageError
+from assistax.executors.claims import take
 from assistax.learning.algorithms import ALGORITHMS
 from assistax.settings import with_settings
 from assistax.training.configuration import configure
@@ -60,7 +62,11 @@ def small(algorithm="ippo", settings=SMALL, **more):
 
 
 def lines(sweep):
-    return [json.loads(line) for line in (sweep.folder / "trials.jsonl").read_text().splitlines()]
+    return [json.loads(path.read_text()) for path in sorted(sweep.folder.glob("trials/*/trial.json"))]
+
+
+def unfinished(folder):
+    return list(folder.glob("trials/*/unfinished.safetensors")) + list(folder.glob("trials/*/pieces/*"))
 
 
 # -- what is drawn -----------------------------------------------------------------------------
@@ -158,7 +164,7 @@ def check(sweep, ranking):
     """By (configuration, seed) the curves [5] of a finished sweep with two of each."""
     rows = lines(sweep)
     assert [entry["auc"] for entry in ranking] == sorted((entry["auc"] for entry in ranking), reverse=True)
-    assert not (sweep.folder / "unfinished.safetensors").exists()
+    assert not unfinished(sweep.folder)
     for row in rows:
         assert row["settings"] == sweep.drawn[row["config"]] and row["steps"] == STEPS and not row["failed"]
         assert [steps for steps, _ in row["curve"]] == [80, 160, 240, 320, 400]
@@ -221,23 +227,43 @@ def test_stopped_anywhere_and_resumed_a_sweep_ends_as_one_left_alone(whole, tmp_
     monkeypatch.setattr(assistax.training.sweep.pieces, "PIECE", 8)
     folder, finished, result = tmp_path / "stopped", [], None
     Sweep.create(small(), folder, 2, SEARCHED)
-    for times in (7, 2, 0, 6, 1000):
+    for times, steps in {7: 560, 2: 720, 0: 720, 6: 1200, 1000: 1600}.items():
         monkeypatch.setattr(assistax.training.sweep, "Stop", StopAfter(times))
         sweep = Sweep.open(folder)
         result = sweep.run()
         finished.append(len(lines(sweep)))
-        if result is None:  # a crash on top of it, in the middle of a line
-            assert (folder / "unfinished.safetensors").exists() and list(folder.glob("pieces/*"))
-            with open(folder / "trials.jsonl", "a") as file:
-                file.write('{"config": 0, "see')
-    assert finished == [1, 1, 1, 3, 4] and result == whole[1] and not list(folder.glob("pieces/*"))
+        assert sum(job.done() for job in sweep.jobs()) == steps
+        assert result or len(unfinished(folder)) > 1
+    assert finished == [1, 1, 1, 3, 4] and result == whole[1] and not unfinished(folder)
 
     def told(sweep):
         return [{name: value for name, value in row.items() if name != "seconds"} for row in lines(sweep)]
 
     assert told(sweep) == told(whole[0])
-    before = (folder / "trials.jsonl").read_bytes()
-    assert Sweep.open(folder).run() == whole[1] and (folder / "trials.jsonl").read_bytes() == before
+    before = lines(sweep)
+    assert Sweep.open(folder).run() == whole[1] and lines(sweep) == before
+
+
+def test_what_others_are_at_is_left_to_them(whole, tmp_path):
+    folder = tmp_path / "shared"
+    mine = Sweep.create(small(), folder, 2, SEARCHED)
+    theirs = take(folder / "workers", "0001-0", [], 0)
+    assert mine.run() is None and {(row["config"], row["seed"]) for row in lines(mine)} == {(0, 0), (0, 1), (1, 1)}
+    theirs.release(None)
+    assert mine.run() == whole[1]
+
+
+def test_several_processes_find_what_one_does(tmp_path, monkeypatch):
+    """Real ones, of the scratching task, with a core each."""
+    monkeypatch.undo()
+    words = "scratch", "--configs", 2, "--seeds", 2, "--steps", 128, "--num-envs", 4, "--search", "ppo.gamma=0.9:0.99"
+    words += "--set", "ppo.num_steps=16", "ppo.hidden=(8,8)", "ppo.num_minibatches=1", "env.episode_length=30"
+    words += "--executor-set", "cores=1", "--processes"
+    for number in (1, 2):
+        printed = assistax_command("sweep", *words, number, "--out", tmp_path / f"{number}").stdout
+        assert "Best of 2" in printed
+    one, two = (json.loads((tmp_path / f"{number}" / "ranking.json").read_text()) for number in (1, 2))
+    assert one == two and [entry["seeds"] for entry in one] == [2, 2]
 
 
 @pytest.fixture
@@ -248,30 +274,33 @@ def begun(tmp_path):
         {"config": i, "seed": 0, "settings": sweep.drawn[i], "steps": STEPS} | outcome([[1.0 + i, 0, 0]], 80)
         for i in range(2)
     ]
-    (sweep.folder / "trials.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    for row in rows:
+        place = sweep.folder / "trials" / f"{row['config']:04d}-0"
+        place.mkdir(parents=True)
+        (place / "trial.json").write_text(json.dumps(row))
     return sweep
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda rows: rows[0]["settings"].update({"ppo.gamma": 0.123}), "Line 1 of .* is of another sweep"),
-        (lambda rows: rows[1].update(steps=7), "Line 2 of .* is of another sweep"),
-        (lambda rows: rows[1].update(seed=5), "Line 2 of .* is of another sweep"),
-        (lambda rows: rows[1].update(config=2), "Line 2 of .* is of another sweep"),
-        (lambda rows: rows.insert(0, 5), "line 1 of 3 in .*: it must be an object"),
-        (lambda rows: rows.insert(1, "{torn"), "line 2 of 3 in .*: it is not JSON"),
+        (lambda row: row["settings"].update({"ppo.gamma": 0.123}), "0001-0/trial.json is of another sweep"),
+        (lambda row: row.update(steps=7), "0001-0/trial.json is of another sweep"),
+        (lambda row: row.update(seed=5), "0001-0/trial.json is of another sweep"),
+        (lambda row: row.update(seed=1), "0001-0/trial.json is of another sweep"),
+        (lambda row: row.update(config=2), "0001-0/trial.json is of another sweep"),
+        (lambda row: row.pop("auc"), "trial.json: it has no auc"),
     ],
 )
-def test_lines_that_do_not_belong_are_refused_and_kept(begun, change, words):
+def test_trials_that_do_not_belong_are_refused_and_kept(begun, change, words):
     assert [row["config"] for row in begun.trials().values()] == [0, 1]
-    rows = lines(begun)
-    change(rows)
-    content = "".join((row if isinstance(row, str) else json.dumps(row)) + "\n" for row in rows)
-    (begun.folder / "trials.jsonl").write_text(content)
+    path = begun.folder / "trials" / "0001-0" / "trial.json"
+    row = json.loads(path.read_text())
+    change(row)
+    path.write_text(json.dumps(row))
     with pytest.raises(UsageError, match=words):
         Sweep.open(begun.folder).run()
-    assert (begun.folder / "trials.jsonl").read_text() == content
+    assert json.loads(path.read_text()) == row
 
 
 @pytest.mark.parametrize(
@@ -342,7 +371,8 @@ def test_training_that_becomes_non_finite_has_failed_and_the_sweep_goes_on(tmp_p
     ranking = sweep.run()
     assert [entry["settings"]["ppo.learning_rate"] for entry in ranking] == [1e-3, 1e30]
     assert [entry["failed"] for entry in ranking] == [0, 2] and len(lines(sweep)) == 4
-    assert "NaN" not in (sweep.folder / "trials.jsonl").read_text() + (sweep.folder / "ranking.json").read_text()
+    texts = [path.read_text() for path in sweep.folder.rglob("*.json")]
+    assert len(texts) == 2 + 4 and "NaN" not in "".join(texts)
 
 
 def test_pictures_show_every_configuration_where_it_belongs(tmp_path):

@@ -10,7 +10,7 @@ import shutil
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
@@ -40,21 +40,35 @@ PEOPLE: dict[str, dict[str, Any]] = {
     "-preferences": {"env.human.preference": "sweep"},
     **{f"-{name}": {"env.human.disability": name} for name in DISABILITIES},
 }
-# Robots that learn beside the people of a population, by method: how, with which people ("" with none of them, but with
-# their bodies), and with or without memory. docs/teamwork.md names the papers.
-METHODS: dict[str, tuple[dict[str, Any], str, bool]] = {
-    "best-response": ({}, "train", False),
-    "untaught": (UNTAUGHT, "train", False),
-    "fcp": ({}, "train+earlier", False),
-    "oracle": ({"env.human.visibility": "oracle"}, "train", False),
-    "gru": ({}, "train", True),
-    "liam": ({"ppo.partner_code": 16}, "train", False),
-    "self-play": ({}, "", False),
-    "e3t": ({"env.human.random_share": 0.25}, "", False),
-}
 WORKERS = "workers"  # folder of their claims and logs, where the work is done
 KEPT = ("config.json", "evaluations.jsonl", "summary.json", "learning_curve.png")  # of a finished run
 PLAYABLE = (*KEPT[:3], "policies.safetensors")  # of a finished robot
+
+
+@dataclass(frozen=True)
+class Method:
+    """How a robot learns that is to meet strangers; docs/teamwork.md names the papers."""
+
+    beside: str = "train"  # or "train+earlier" of the split; a habit with the bodies of its people; "", such a learner
+    settings: dict[str, Any] = field(default_factory=dict)
+    recurrent: bool = False
+    algorithm: str = "ippo"
+
+
+METHODS = {
+    "best-response": Method(),
+    "untaught": Method(settings=UNTAUGHT),
+    "fcp": Method("train+earlier"),
+    "oracle": Method(settings={"env.human.visibility": "oracle"}),
+    "hidden": Method(settings={"env.human.visibility": "human"}),
+    "gru": Method(recurrent=True),
+    "liam": Method(settings={"ppo.partner_code": 16}),
+    "randomised": Method("offers"),
+    "self-play": Method(""),
+    "e3t": Method("", {"env.human.random_share": 0.25}),
+    "sac": Method(algorithm="isac"),
+}
+SEVERAL = ("best-response", "untaught", "fcp", "oracle", "gru", "liam", "randomised", "self-play", "e3t")
 
 
 class Experiment(Protocol):
@@ -136,14 +150,14 @@ class Robot:
         from assistax.training.run import Run
 
         if not (work / "config.json").exists():
-            population = f"populations/{self.task}:{self.split}"
-            settings, part, recurrent = METHODS[self.method]
-            choices: dict[str, Any] = {"recurrent": recurrent, "steps": self.steps, "seed": self.seed}
-            if part:
-                choices["partners"] = (f"human={population}/{part}",)
-            else:
-                settings = settings | {"env.human.people": splits.named(f"{population}/train")[1].people}
-            Run.create(configure(self.task, dict(settings), **choices), work)
+            method, population = METHODS[self.method], f"populations/{self.task}:{self.split}"
+            settings, partners = dict(method.settings), (f"human={population}/{method.beside}",)
+            if not method.beside.startswith("train"):
+                settings["env.human.people"] = splits.named(f"{population}/train")[1].people
+                partners = (f"human={method.beside}",) if method.beside else ()
+            choices: dict[str, Any] = {"algorithm": method.algorithm, "recurrent": method.recurrent}
+            choices |= {"partners": partners, "steps": self.steps, "seed": self.seed}
+            Run.create(configure(self.task, settings, **choices), work)
         return _train(work, seconds, PLAYABLE)
 
 
@@ -162,8 +176,7 @@ class Sweeping:
         return f"sweep-{self.task}-{self.algorithm}-{self.configs}x{self.steps // 1_000_000}M"
 
     def progress(self, work: Path) -> float:
-        path = work / "trials.jsonl"
-        return (path.read_bytes().count(b"\n") if path.exists() else 0) / self.configs
+        return len(list(work.glob("trials/*/trial.json"))) / self.configs
 
     def advance(self, work: Path, seconds: float) -> list[Path] | None:
         from assistax.training.configuration import configure
@@ -217,9 +230,11 @@ def _trainings(
         yield from (Training(task, algorithm, preset, people, seed, steps or usual(task), version) for task in tasks)
 
 
-def _robots(task: str, split: str, steps: int, seeds: int | None) -> Iterator[Experiment]:
-    """Of every method, three seeds of the first and two of the others."""
-    for method in METHODS:
+def _robots(
+    task: str, split: str, steps: int, seeds: int | None, methods: Sequence[str] = SEVERAL
+) -> Iterator[Experiment]:
+    """Three seeds of the best response, and two of the others."""
+    for method in methods:
         number = seeds or (3 if method == "best-response" else 2)
         yield from (Robot(task, split, method, seed, steps) for seed in range(number))
 
@@ -230,6 +245,8 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     yield from _trainings("ippo", "default", "", seeds or 5)
     yield from _trainings("ippo", "default", "-preferences", seeds or 3)
     yield from _robots("scratch-v1", "taught", 4_000_000, seeds)
+    yield from _robots("feeding-v1", "random", 2_000_000, seeds, (*SEVERAL, "hidden"))
+    yield from _robots("feeding-v1", "extreme", 2_000_000, seeds, ("best-response", "sac"))
     yield from _trainings("ippo", "default", STILL, seeds or 3)
     yield from _trainings("mappo", "default", "", seeds or 3)
     for name in DISABILITIES:

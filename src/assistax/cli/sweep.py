@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from assistax.cli.common import File, Name, Number, Partner, Set, Switch, free_folder
+from assistax.cli.common import ExecutorSet, File, Name, Number, Partner, Set, Switch, find_executor, free_folder
 from assistax.errors import UsageError
 
 Search = Annotated[
@@ -32,19 +32,22 @@ def sweep(
     out: File = None,
     side_by_side: Number = None,
     resume: File = None,
+    processes: Number = None,
+    executor: Name = None,
+    executor_set: ExecutorSet = (),
 ) -> None:
     """Search for hyperparameters at random, and rank them by the area under the return curve.
 
-    Writes one folder: sweep.json, trials.jsonl (a line per configuration and seed), ranking.json, sweep.png with a
-    panel per hyperparameter, and in the end a sweep_NAME.png for each continuous one as in the paper's appendix.
-    Continuous hyperparameters are inputs of one compiled program, so that only the choices cost a compilation each.
-    Ctrl-C saves and stops; `--resume SWEEP` continues where it stopped.
+    Writes one folder: sweep.json, trials/CONFIG-SEED/trial.json, ranking.json, sweep.png with a panel per
+    hyperparameter, and in the end a sweep_NAME.png for each continuous one as in the paper's appendix. Continuous
+    hyperparameters are inputs of one compiled program, so that only the choices cost a compilation each. Ctrl-C saves
+    and stops; `--resume SWEEP` continues where it stopped, and machines that share the folder share the work.
 
     For example:
       assistax sweep scratch
       assistax sweep scratch --algorithm mappo --configs 16 --seeds 3 --steps 1000000
       assistax sweep scratch --search ppo.gamma=0.95:0.999 ppo.num_steps=32,64,128 --set ppo.update_epochs=8
-      assistax sweep --resume runs/sweep-scratch-ippo-0
+      assistax sweep --resume runs/sweep-scratch-ippo-0 --processes 2
 
     Args:
       task: what to do together; `assistax tasks` lists them.
@@ -66,7 +69,11 @@ def sweep(
       out: sweep folder (default runs/sweep-TASK-ALGORITHM-SEED, with a number if taken).
       side_by_side: trials that an accelerator trains at once (default: as many as there are seeds).
       resume: continue this sweep folder.
+      processes: so many trainings side by side, each on cores of its own (default: this process alone).
+      executor: local, slurm or ray, as in `assistax population train`.
+      executor_set: its settings.
     """
+    from assistax.executors.jobs import is_worker
     from assistax.files import writing
     from assistax.settings import check_count, parse_assignments
     from assistax.training.configuration import configure
@@ -75,6 +82,7 @@ def sweep(
 
     if side_by_side is not None:
         check_count("side_by_side", side_by_side)
+    using = find_executor(processes, executor, executor_set)  # asked before anything is written
     if resume is not None:
         given: dict[str, Any] = {"task": task, "algorithm": algorithm, "configs": configs, "seeds": seeds}
         given |= {"recurrent": recurrent or None, "share-parameters": share_parameters or None, "steps": steps}
@@ -99,13 +107,15 @@ def sweep(
         found = Sweep.create(config, out or free_folder(name), 168 if configs is None else configs, wanted)
     print(f"{found.config.task}, {len(found.drawn)} configurations, into {found.folder}", file=sys.stderr)
     with writing(found.folder):
-        ranking = found.run(side_by_side)
+        ranking = found.run(side_by_side) if using is None else found.run_with(using, processes, side_by_side)
     if ranking is None:
-        print(f"Stopped and saved. Continue with: assistax sweep --resume {found.folder}", file=sys.stderr)
+        if is_worker():
+            return
+        print(f"Not finished, and saved. Continue with: assistax sweep --resume {found.folder}", file=sys.stderr)
         sys.exit(130)
     best = ranking[0]
     if best["auc"] is None:
-        print(f"Training failed with every configuration; see {found.folder}/trials.jsonl.")
+        print(f"Training failed with every configuration; see {found.folder}/trials.")
         return
     settings = " ".join(f"{name}={value}" for name, value in best["settings"].items())
     print(f"Best of {len(ranking)}: area {best['auc']:.0f}, with --set {settings}. See {found.folder}/sweep.png.")

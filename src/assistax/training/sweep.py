@@ -1,10 +1,11 @@
 """Random search over hyperparameters, the way the paper tuned every algorithm; resumable at any moment.
 
-sweep.json             what was asked for, and the configurations that were drawn
-trials.jsonl           one line per finished trial: a configuration trained with a seed
-unfinished.safetensors where the trials that were being trained stand; what is large lies in pieces, see pieces.py
-ranking.json           the configurations that have been tried, best first
-sweep.png              one panel per hyperparameter; sweep_NAME.png: one, as in the paper's appendix
+sweep.json            what was asked for, and the configurations that were drawn
+trials/CONFIG-SEED/   a configuration trained with a seed: trial.json when it is finished; before, where it stands,
+                      unfinished.safetensors, what is large of it in pieces, see pieces.py
+ranking.json          the configurations that have been tried, best first
+sweep.png             one panel per hyperparameter; sweep_NAME.png: one, as in the paper's appendix
+workers/              who trains what, and what they print, see executors/
 
 Configurations are ranked by the area under the learning curve. A trial's curve has a point per iteration: the mean
 reward per step of that iteration times the length of an episode, the return of a whole episode at that rate. Every step
@@ -16,20 +17,21 @@ import dataclasses
 import itertools
 import json
 import math
-import os
+import sys
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from tqdm import tqdm
 
 from assistax.errors import UsageError
 from assistax.evaluation.statistics import seed_ci
-from assistax.files import read_json, read_rows, write_atomically, write_json
+from assistax.executors.drive import Executor, drive
+from assistax.executors.jobs import Job, is_worker, work
+from assistax.files import read_json, write_json
 from assistax.formats import SWEEP, TRIAL, UNFINISHED
 from assistax.learning.tuned import tunable
 from assistax.physics import check_faults
@@ -51,6 +53,7 @@ from assistax.training.sweep_figures import facets, overview
 
 Trial = tuple[int, int]
 """The number of a configuration, and a seed."""
+TRIALS, FINISHED, UNTIL_NOW, WORKERS = "trials", "trial.json", "unfinished.safetensors", "workers"
 LAST = 0.1  # share of a trial that its final return and success are of
 
 
@@ -79,6 +82,7 @@ class Sweep:
         self._programs = list(programs.values())
         runs = {mine[0]: Run(folder, configs[mine[0]]) if mine[0] else first for mine in self._programs}
         self._runs = {i: runs[mine[0]] for mine in self._programs for i in mine}
+        self._compiled: Program | None = None
 
     @classmethod
     def create(cls, config: TrainConfig, folder: Path, count: int, search: Search) -> "Sweep":
@@ -115,20 +119,19 @@ class Sweep:
         return cls(folder, config, search, drawn)
 
     def trials(self) -> dict[Trial, dict[str, Any]]:
-        """The lines of trials.jsonl, without a last one that a crash has cut short."""
-        path, found = self.folder / "trials.jsonl", {}
-        for number, row in enumerate(read_rows(path, TRIAL), 1):
-            if not self._belongs(row):
-                raise UsageError(f"Line {number} of {path} is of another sweep; remove it.")
-            found.setdefault((row["config"], row["seed"]), row)
+        """What the finished trials came to."""
+        found = {}
+        for path in sorted(self.folder.glob(f"{TRIALS}/*/{FINISHED}")):
+            row = read_json(path, TRIAL)
+            if not self._belongs(row) or path.parent.name != _name((row["config"], row["seed"])):
+                raise UsageError(f"{path} is of another sweep; remove its folder.")
+            found[row["config"], row["seed"]] = row
         return found
 
     def _belongs(self, row: Any) -> bool:
-        try:
-            i = row["config"]
-            return row["settings"] == self.drawn[i] and row["seed"] in self.seeds and row["steps"] == self._steps(i)
-        except (KeyError, TypeError, IndexError):
-            return False
+        i = row["config"]
+        known = i < len(self.drawn) and row["seed"] in self.seeds
+        return known and row["settings"] == self.drawn[i] and row["steps"] == self._steps(i)
 
     def _steps(self, config: int) -> int:
         run = self._runs[config]
@@ -137,62 +140,131 @@ class Sweep:
     # -- training ------------------------------------------------------------------------------
 
     def run(self, side_by_side: int | None = None, seconds: float = math.inf) -> list[dict[str, Any]] | None:
-        """Train what has not been trained; returns the ranking, or None if stopped by Ctrl-C or after `seconds`.
+        """Train what has not been trained, nor is just being trained by others.
+
+        Returns the ranking, or None if not all is finished: after Ctrl-C or `seconds`, or because others are at it.
 
         Args:
           side_by_side: how many trials a program trains at once (default: on an accelerator as many as there are
             seeds, on a CPU one).
           seconds: for how long, about.
         """
-        if side_by_side is None:
-            side_by_side = 1 if jax.default_backend() == "cpu" else len(self.seeds)
-        if side_by_side < 1:
-            raise UsageError(f"side_by_side must be 1 or more, not {side_by_side}.")
-        finished = self.trials()
-        write_atomically(self.folder / "trials.jsonl", _lines(finished.values()))
-        total = sum(map(self._steps, range(len(self.drawn)))) * len(self.seeds)
-        initial = sum(row["steps"] for row in finished.values())
-        with Stop(seconds) as stop, progress_bar(total, initial) as bar:
-            for members in self._programs:
-                left = [(i, seed) for seed in self.seeds for i in members if (i, seed) not in finished]
-                programs: dict[int, Program] = {}
-                for at in range(0, len(left), side_by_side):
-                    chunk = left[at : at + side_by_side]
-                    if len(chunk) not in programs:
-                        programs[len(chunk)] = Program(self._runs[members[0]], len(chunk))
-                    rows = self._train(programs[len(chunk)], chunk, stop, bar)
-                    if rows is None:
-                        return None
-                    finished |= {(row["config"], row["seed"]): row for row in rows}
-                    self._append(rows)
-                    ranking = self._report(finished.values())
-                    bar.set_postfix_str(f"{len(finished)} trials, best area {ranking[0]['auc'] or math.nan:.0f}", False)
-        ranking = self._report(finished.values())
+        self.trials()  # what is of another sweep is refused before anything is trained
+
+        def report():
+            ranking = self._report()
+            best = max((one["auc"] for one in ranking if one["auc"] is not None), default=math.nan)
+            bar.set_postfix_str(f"{sum(one['seeds'] for one in ranking)} trials, best area {best:.0f}", False)
+
+        mine = self.jobs(side_by_side, seconds, lambda steps: bar.update(steps), report)
+        with progress_bar(sum(job.size for job in mine), sum(job.done() for job in mine)) as bar:
+            work(self.folder / WORKERS, mine)
+        return None if is_worker() else self.finish()
+
+    def run_with(
+        self, using: Executor, workers: int | None = None, side_by_side: int | None = None
+    ) -> list[dict[str, Any]] | None:
+        """`run` in as many processes as an executor starts."""
+        command = [sys.executable, "-m", "assistax", "sweep", "--resume", str(self.folder.resolve())]
+        command += [] if side_by_side is None else ["--side-by-side", str(side_by_side)]
+        drive(self.folder / WORKERS, self.jobs(side_by_side), using, command, workers, progress_bar)
+        return self.finish()
+
+    def finish(self) -> list[dict[str, Any]] | None:
+        """The ranking, written down with all pictures, if all trials are finished; None before."""
+        ranking = self._report()
+        if sum(one["seeds"] for one in ranking) < len(self.drawn) * len(self.seeds):
+            return None
         for name in intervals(self.search):
             path = self.folder / f"sweep_{name.split('.')[-1]}.png"
             save_figure(facets(ranking, self.search, name, self._title()), path)
         return ranking
 
-    def _train(self, program: "Program", chunk: list[Trial], stop: Stop, bar: tqdm) -> list[dict[str, Any]] | None:
-        """The lines of some trials, from their checkpoint if there is one; None if stopped."""
-        run, lanes, path = program.run, program.lanes, self.folder / "unfinished.safetensors"
+    def jobs(
+        self,
+        side_by_side: int | None = None,
+        seconds: float = math.inf,
+        advance: Callable[[int], Any] = lambda steps: None,
+        report: Callable[[], Any] = lambda: None,
+    ) -> list[Job]:
+        """The trials, or batches of `side_by_side`, which stop when the time is spent.
+
+        `advance` is told of steps, `report` called after each.
+        """
+        if side_by_side is None:
+            side_by_side = 1 if jax.default_backend() == "cpu" else len(self.seeds)
+        if side_by_side < 1:
+            raise UsageError(f"side_by_side must be 1 or more, not {side_by_side}.")
+        deadline = time.monotonic() + seconds
+        found = []
+        for members in self._programs:  # whose trials come one after the other, so that each is compiled once
+            every = [(i, seed) for seed in self.seeds for i in members]
+            for at in range(0, len(every), side_by_side):
+                found.append(self._job(every[at : at + side_by_side], deadline, advance, report))
+        return found
+
+    def _job(self, chunk: list[Trial], deadline: float, advance: Callable, report: Callable) -> Job:
+        place = self._place(chunk[0])
+
+        def left():
+            return [trial for trial in chunk if not (self._place(trial) / FINISHED).exists()]
+
+        def done():
+            missing, finished = left(), size - sum(self._steps(i) for i, _ in left())
+            stored = _read_unfinished(place / UNTIL_NOW, missing) if missing else None
+            steps = len(stored["points"][0]) * self._runs[chunk[0][0]].steps_per_iteration if stored else 0
+            return min(finished + steps * len(missing), size - bool(missing))
+
+        def do():
+            with Stop(deadline - time.monotonic()) as stop:
+                rows = None if time.monotonic() > deadline else self._train(left(), place, stop, advance)
+            if rows is None:
+                return False
+            for row in rows:
+                self._place((row["config"], row["seed"])).mkdir(exist_ok=True)
+                write_json(self._place((row["config"], row["seed"])) / FINISHED, row)
+            (place / UNTIL_NOW).unlink(missing_ok=True)
+            pieces.prune(place)
+            if not is_worker():
+                report()
+            return True
+
+        size = sum(self._steps(i) for i, _ in chunk)
+        return Job(_name(chunk[0]), size, done, do)
+
+    def _place(self, trial: Trial) -> Path:
+        return self.folder / TRIALS / _name(trial)
+
+    def _program(self, run: Run, count: int) -> "Program":
+        """Compiled once for all trials of a kind, which come one after the other."""
+        if self._compiled is None or self._compiled.run is not run or self._compiled.count != count:
+            self._compiled = Program(run, count)
+        return self._compiled
+
+    def _train(
+        self, chunk: list[Trial], place: Path, stop: Stop, advance: Callable[[int], Any]
+    ) -> list[dict[str, Any]] | None:
+        """What some trials come to, from their checkpoint in `place` if there is one; None if stopped."""
+        run, path = self._runs[chunk[0][0]], place / UNTIL_NOW
+        program = self._program(run, len(chunk))
+        lanes = program.lanes
         keys = [jax.random.key(seed) for _, seed in chunk]
         tuned = [{name: jnp.float32(value) for name, value in self._inputs[i].items()} for i, _ in chunk]
         about: dict[str, Any] = {"trials": [list(trial) for trial in chunk]}
-        stored = read_metadata(path, UNFINISHED) if path.exists() else {}
-        if stored.get("trials") == about["trials"]:
+        if stored := _read_unfinished(path, chunk):
             state = lanes.split(pieces.load(path, lanes.like(run.trainer.init, keys, tuned), finite=()))
             about["points"], clock = stored["points"], Clock(stored["seconds"])
         else:
             state = program.start(keys, tuned)
             about["points"], clock = [[] for _ in chunk], Clock({})
         points = about["points"]
-        done, before, saved = len(points[0]), bar.n, time.monotonic()
+        done, saved = len(points[0]), time.monotonic()
         while done < run.iterations and any(map(is_sound, points)):
             leave = stop.asked
             if leave or time.monotonic() - saved > CHECKPOINT_SECONDS:
+                place.mkdir(parents=True, exist_ok=True)
                 pieces.save(path, lanes.join(state), about | {"seconds": clock.seconds})
-                pieces.prune(self.folder)
+                pieces.prune(place)
                 saved = time.monotonic()
             if leave:
                 return None
@@ -204,8 +276,9 @@ class Sweep:
                 check_faults(log["fault"] & ~UNSTABLE, run.env.engine.name)
                 mine.append(point(log, run.env.episode_length))
             done += 1
-            bar.update(before + done * run.steps_per_iteration * len(chunk) - bar.n)
-        bar.update(before + self._steps(chunk[0][0]) * len(chunk) - bar.n)
+            advance(run.steps_per_iteration * len(chunk))
+        advance((run.iterations - done) * run.steps_per_iteration * len(chunk))
+        place.mkdir(parents=True, exist_ok=True)
         seconds = round(sum(clock.seconds.values()) / len(chunk), 1)
         return [
             {"config": i, "seed": seed, "settings": self.drawn[i], "steps": self._steps(i), "seconds": seconds}
@@ -213,20 +286,12 @@ class Sweep:
             for (i, seed), mine in zip(chunk, points, strict=True)
         ]
 
-    def _append(self, rows: Iterable[dict]) -> None:
-        with open(self.folder / "trials.jsonl", "ab") as file:
-            file.write(_lines(rows))
-            file.flush()
-            os.fsync(file.fileno())
-        (self.folder / "unfinished.safetensors").unlink(missing_ok=True)
-        pieces.prune(self.folder)
-
     def _title(self) -> str:
         seeds = f"{len(self.seeds)} seed{'s' * (len(self.seeds) > 1)}"
         return f"{self.config.task}, {self.config.algorithm}: {len(self.drawn)} configurations, {seeds}"
 
-    def _report(self, rows: Iterable[dict]) -> list[dict[str, Any]]:
-        ranking = rank(rows)
+    def _report(self) -> list[dict[str, Any]]:
+        ranking = rank(self.trials().values())
         write_json(self.folder / "ranking.json", ranking)
         save_figure(overview(ranking, self.search, self._title()), self.folder / "sweep.png")
         return ranking
@@ -244,6 +309,17 @@ def read_sweep(folder: Path) -> tuple[TrainConfig, dict[str, str], list[dict[str
     return config, stored["search"], stored["drawn"], stored["config"]["stamp"]
 
 
+def _name(trial: Trial) -> str:
+    """Of a trial's folder, and of its job."""
+    return f"{trial[0]:04d}-{trial[1]}"
+
+
+def _read_unfinished(path: Path, chunk: list[Trial]) -> dict[str, Any] | None:
+    """What a checkpoint says beside its arrays, if there is one and it is of these trials."""
+    stored = read_metadata(path, UNFINISHED) if path.exists() else {}
+    return stored if stored.get("trials") == [list(trial) for trial in chunk] else None
+
+
 def _value(config: TrainConfig, name: str) -> Any:
     """The value of a setting; anything for one that does not exist."""
     group, _, field = name.partition(".")
@@ -254,7 +330,7 @@ class Program:
     """A trainer's functions for `count` trials at once, compiled once."""
 
     def __init__(self, run: Run, count: int):
-        self.run, self.lanes, trainer = run, Lanes(count), run.trainer
+        self.run, self.count, self.lanes, trainer = run, count, Lanes(count), run.trainer
         self.start = self.lanes.start(trainer.init)
         self.collect, self.improve = self.lanes.jit(trainer.collect), self.lanes.jit(trainer.improve)
 
@@ -308,7 +384,3 @@ def rank(rows: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
             entry[name] = float(np.mean(known)) if known else None
         ranking.append(entry | {"seeds": len(mine), "failed": sum(row["failed"] for row in mine)})
     return sorted(ranking, key=lambda entry: -entry["auc"] if areas else 0)
-
-
-def _lines(rows: Iterable[dict]) -> bytes:
-    return "".join(json.dumps(row) + "\n" for row in rows).encode()
