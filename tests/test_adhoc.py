@@ -108,6 +108,18 @@ def test_intervals_of_rates_are_of_rates():
     assert found["return"]["ci"][0] < 0.0 and found["return"]["ci"][1] > 1.0
 
 
+def test_the_worst_partner_has_least_of_what_helps_and_most_of_what_harms():
+    """Two partners, an episode each; the first is better off in everything."""
+    better = {"return": 3.0, "task_return": 2.0, "preference_return": 1.0, "success": 1.0, "safe_success": 1.0}
+    better |= {"peak_force": 5.0, "seconds_above_comfort": 0.0, "clamping": 0.0, "impact": 0.0}
+    worse = {"return": 0.0, "task_return": 0.5, "preference_return": -0.5, "success": 0.0, "safe_success": 0.0}
+    worse |= {"peak_force": 90.0, "seconds_above_comfort": 2.0, "clamping": 1.0, "impact": 1.0}
+    found = summarize(by_pair([{name: np.array([[better[name]], [worse[name]]]) for name in better}]))
+    assert {name: found[name]["worst"] for name in worse} == worse
+    assert found["gated_preference_return"]["worst"] == found["gated_return"]["worst"] - 0.5 == 0.0
+    assert found["clamping"]["ci"] == (0.0, 1.0) and found["peak_force"]["ci"][0] == 0.0
+
+
 def test_preferences_count_only_with_success():
     one = {"return": np.ones((2, 2)), "success": np.array([[1.0, 0.0], [1.0, 1.0]])}
     one["preference_return"] = np.array([[10.0, 100.0], [20.0, 40.0]])
@@ -302,7 +314,10 @@ def test_the_report_has_everybody(robots, tmp_path):
     words = f"br={root}/br", f"oracle={root}/oracle", "--population", f"{root}/pop", "--episodes", 2, "--out", out
     printed = assistax_command("teamwork", "evaluate", *words).stdout
     assert "expert" in printed and "br: coordination gap" in printed and out.with_suffix(".png").exists()
+    assert all(harm in printed for harm in ("clamping", "impact", "peak force, N"))
     found = json.loads(out.read_text())
+    people = {part: [one["disability"] for one in found["people"][part]] for part in ("train", "test")}
+    assert people == {part: [one.disability for one in parts_of(root, part)[part].people] for part in people}
     for part in ("train", "test"):
         assert set(found[part]["references"]) == {"still", "random", "expert", "considerate", "own"}
         for one in found[part]["methods"].values():

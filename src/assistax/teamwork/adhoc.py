@@ -17,9 +17,10 @@ from assistax.policies import Mixed, Player, scripted_policy
 from assistax.settings import check_count
 from assistax.training.population import Population
 
-MEASURES = ("return", "success", "safe_success", "task_return", "preference_return", "peak_force")
-MEASURES += ("seconds_above_comfort", "clamping", "impact")
 RATES = ("success", "safe_success")
+HURT = ("clamping", "impact")  # rates, too
+HARM = (*HURT, "peak_force", "seconds_above_comfort")  # of which less is better
+MEASURES = ("return", *RATES, "task_return", "preference_return", *HARM)
 SCORES = {"score": "return", "gated_score": "gated_return"}  # and what each is of
 NOBODYS = ("still", "random", "expert")  # robots whose best is worth 0
 CONSIDERATE = "considerate"  # the expert told the preferences; shown, and no end of the scale
@@ -163,10 +164,9 @@ def _measure(name: str, x: np.ndarray) -> dict[str, Any]:
     everybody, x = x.mean(0), x[:, ~np.isnan(x).any(0)]
     by_partner, interval = x.mean(0), crossed_ci(x)
     number = max(1, round(WORST * len(by_partner)))
-    low = name in ("return", "gated_return", *RATES, *SCORES)
-    worst = np.sort(by_partner)[:number] if low else np.sort(by_partner)[-number:]
-    if interval is not None and name in RATES:  # Student's t knows no bounds
-        interval = max(interval[0], 0.0), min(interval[1], 1.0)
+    worst = np.sort(by_partner)[-number:] if name in HARM else np.sort(by_partner)[:number]
+    if interval is not None and name in (*RATES, *HARM):  # Student's t knows no bounds
+        interval = max(interval[0], 0.0), min(interval[1], 1.0 if name in (*RATES, *HURT) else np.inf)
     return {
         "mean": float(x.mean()),
         "ci": interval,

@@ -18,7 +18,7 @@ from assistax.errors import UsageError
 from assistax.evaluation.playing import EVALUATION_SEED
 from assistax.results.figures import STYLE
 from assistax.stamp import stamp
-from assistax.teamwork.adhoc import Meeting, by_pair, gap, only, scales, summarize
+from assistax.teamwork.adhoc import HURT, Meeting, by_pair, gap, only, scales, summarize
 from assistax.teamwork.strangers import check_robots, check_strangers, knows
 from assistax.training.configuration import TrainConfig
 from assistax.training.population import Population
@@ -45,8 +45,9 @@ def report(
         1 beside those partners.
 
     Returns:
-      ready for JSON: "task", "episodes", "partners" (ids by part), by part "references" and "methods" (see
-      adhoc.summarize) and which partners are "scored"; "gap" by method and measure; "stamp".
+      ready for JSON: "task", "episodes", "partners" (ids by part), "people" (who they are, by part), by part
+      "references" and "methods" (see adhoc.summarize) and which partners are "scored"; "gap" by method and measure;
+      "stamp".
 
     Raises:
       UsageError: a run of another task, whose robot did not learn, observes something else, or has met a held-out
@@ -62,6 +63,7 @@ def report(
             meetings.of(run)
     found: dict[str, Any] = {"task": measured[0].config.task, "episodes": episodes, "seed": seed}
     found["partners"] = {part: list(population.ids) for part, population in populations.items()}
+    found["people"] = {part: [kind_of(row) for row in population.rows] for part, population in populations.items()}
     pairs: dict[str, dict[str, Any]] = {}  # by part and method
     for part, meetings in everywhere.items():
         references = meetings.plain.references()
@@ -128,8 +130,13 @@ def _check_sizes(run: Run, env: Env, population: Population) -> None:
         )
 
 
+def kind_of(row: Mapping[str, Any]) -> dict[str, str]:
+    """What kind of person a row of a manifest is of: body, preference, and what was taught or the habit, if any."""
+    return row["person"] | {name: row[name] for name in ("taught", "habit") if name in row}
+
+
 def table(found: Mapping[str, Any], part: str = "test") -> tuple[list[str], list[list[str]]]:
-    """Head and rows: references, then methods, with means, intervals and the worst tenth."""
+    """Head and rows: references, then methods, with means, intervals, the worst tenth, and the share that was hurt."""
     rows = []
     measures = [m for m in SHOWN if any(m in one for one in found[part]["methods"].values())]
     for group in ("references", "methods"):
@@ -138,8 +145,10 @@ def table(found: Mapping[str, Any], part: str = "test") -> tuple[list[str], list
             for measure in measures:
                 cells.append(_cell(one[measure]) if measure in one else "")
             cells.append(f"{one['safe_success']['worst']:.0%}" if "safe_success" in one else "")
+            cells += [f"{one[hurt]['mean']:.0%}" if hurt in one else "" for hurt in HURT]
+            cells.append(f"{one['peak_force']['mean']:.0f}")
             rows.append(cells)
-    return ["robot", *(m.replace("_", " ") for m in measures), "safe success, worst tenth"], rows
+    return ["robot", *(m.replace("_", " ") for m in measures), "worst tenth, safe", *HURT, "peak force, N"], rows
 
 
 def picture(found: Mapping[str, Any], path: Path) -> None:
