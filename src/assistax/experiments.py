@@ -62,13 +62,14 @@ METHODS = {
     "oracle": Method(settings={"env.human.visibility": "oracle"}),
     "hidden": Method(settings={"env.human.visibility": "human"}),
     "gru": Method(recurrent=True),
+    "gru-stays": Method(settings={"env.human.redraw_every": 3}, recurrent=True),
     "liam": Method(settings={"ppo.partner_code": 16}),
     "randomised": Method("offers"),
     "self-play": Method(""),
     "e3t": Method("", {"env.human.random_share": 0.25}),
     "sac": Method(algorithm="isac"),
 }
-SEVERAL = ("best-response", "untaught", "fcp", "oracle", "gru", "liam", "randomised", "self-play", "e3t")
+SEVERAL = ("best-response", "untaught", "fcp", "oracle", "gru", "gru-stays", "liam", "randomised", "self-play", "e3t")
 
 
 class Experiment(Protocol):
