@@ -326,6 +326,19 @@ def test_the_report_has_everybody(robots, tmp_path):
     assert set(found["gap"]) == {"br", "oracle"}
 
 
+def test_a_robot_made_elsewhere_stands_beside_runs(robots):
+    """The robot of a run, without the run, reaches the same; and alone it fills a table."""
+    root, made = robots
+    (team, *_) = made["br"].teams()
+    test = parts_of(root, "test")
+    found = report({"run": [made["br"]], "mine": [team["robot"]]}, test, episodes=1)
+    run, mine = (found["test"]["methods"][name]["return"] for name in ("run", "mine"))
+    assert mine["by_seed"] == run["by_seed"][:1] and found["runs"]["mine"] == [{"policy": "Actor"}]
+    alone = report({"mine": [team["robot"]]}, test, episodes=1)  # in the task as it is, not as the run changed it
+    assert alone["task"] == found["task"] and set(alone["test"]["references"]) == set(found["test"]["references"])
+    assert alone["test"]["methods"]["mine"]["return"]["mean"] > mine["mean"]
+
+
 def test_cross_play_is_of_members_with_robots_as_they_are_now(population):
     rows = list(population.rows)
     rows[1] = rows[1] | {"fraction": 0.333}

@@ -121,6 +121,26 @@ def test_the_table_of_ways_leaves_out_who_learned_together(monkeypatch):
     assert tool("population_page", monkeypatch)._by_way(untaught, matrix) == ""
 
 
+def test_the_page_of_strangers_is_what_was_measured(monkeypatch, tmp_path):
+    """Made anew by `python tools/pages.py strangers`."""
+    made = tool("strangers_page", monkeypatch).page(DOCS.parent / "results/teamwork", tmp_path)
+    assert (DOCS / "strangers.md").read_text() == made, "python tools/pages.py strangers"
+    assert all((DOCS / "images" / picture.name).exists() for picture in tmp_path.iterdir())
+
+
+def test_strangers_by_kind_are_means_over_those_of_that_kind(monkeypatch):
+    """Three strangers of two bodies, taught two ways; the last one's own robot is not kept."""
+    people = [{"disability": body, "preference": "none", "taught": way} for body, way in zip("xxy", "aba", strict=True)]
+    part = {
+        "references": {"own": {"safe_success": {"by_partner": [1.0, 0.5, None]}}},
+        "methods": {"br": {"safe_success": {"by_partner": [0.2, 0.4, 0.9]}}},
+    }
+    lines = tool("strangers_page", monkeypatch)._by_kind(people, part).splitlines()
+    assert [cell.strip() for cell in lines[0].split("|")[1:-1]] == ["robot", "x", "y", "a", "b"]
+    assert [cell.strip() for cell in lines[2].split("|")[1:-1]] == ["their own", "75%", "", "100%", "50%"]
+    assert [cell.strip() for cell in lines[3].split("|")[1:-1]] == ["br", "30%", "90%", "55%", "40%"]
+
+
 def test_the_notebook_is_the_page(monkeypatch):
     """Made anew by `python tools/pages.py notebook`."""
     made = tool("notebook", monkeypatch).notebook((DOCS / "first_steps.md").read_text())

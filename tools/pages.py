@@ -5,6 +5,7 @@ python tools/pages.py experts   # docs/experts.md, from it
 python tools/pages.py speed     # docs/speed.md, from results/bench
 python tools/pages.py results   # docs/results.md and its curves, from results/
 python tools/pages.py populations  # docs/partners.md and its pictures, from populations/ and results/teamwork
+python tools/pages.py strangers # docs/strangers.md and its pictures, from results/teamwork
 python tools/pages.py tasks     # docs/tasks/ and its pictures, from the tasks
 python tools/pages.py notebook  # docs/first_steps.ipynb, from the page
 """
@@ -18,6 +19,7 @@ from typing import Any
 import notebook
 import numpy as np
 import population_page
+import strangers_page
 import task_pages
 
 from assistax.diagnostics import measurements
@@ -377,6 +379,9 @@ PAGES: dict[str, Callable[[], Mapping[Path, str | bytes]]] = {
     "populations": one(
         Path("docs/partners.md"),
         lambda: population_page.page(Path("populations"), Path("results/teamwork"), Path("docs/images")),
+    ),
+    "strangers": one(
+        Path("docs/strangers.md"), lambda: strangers_page.page(Path("results/teamwork"), Path("docs/images"))
     ),
     "notebook": one(notebook.NOTEBOOK, lambda: notebook.notebook(notebook.PAGE.read_text())),
     "tasks": lambda: {**task_pages.pages(), **task_pages.pictures()},

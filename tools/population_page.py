@@ -25,7 +25,8 @@ robots reach that meet them.
 ONE = """## {task}
 
 `populations/{task}` has {members} people with their robots{others}, by {algorithms}, {steps}.
-What each reaches with its own robot, safe success and, in brackets, the return:
+What each reaches with its own robot, safe success and, in brackets, the return; columns are preferences, and the
+[script](populations.md#conventions) that the person imitated at first, if any:
 
 {self_play}
 {splits}
@@ -34,8 +35,8 @@ CROSSPLAY = """
 ### Who can work with whom
 
 {pairs} of the episodes succeed with one's own robot, {crossed} with the others' ({number} robots by {number} people,
-{episodes} episodes of each pair). The best single robot has {single} with all of them, the scripted one, which is told
-everything, {expert}. {verdict}
+{episodes} episodes of each pair). The best single robot, {who}, has {single} with all of them, the scripted
+one, which is told everything, {expert}. {verdict}
 
 ![Who works with whom](images/crossplay_{task}.png)
 {ways}"""
@@ -88,7 +89,7 @@ def _sizes(path: Path) -> str:
 def _crossplay(population: Population, found: Mapping[str, Any], pictures: Path) -> str:
     matrix_picture(found, pictures / f"crossplay_{population.task}.png")
     rows = {row["id"]: row for row in population.rows}
-    expert = found["others"]["expert"]["success"]
+    expert, best = found["others"]["expert"]["success"], found["best_single"]["success"]["robot"]
     return CROSSPLAY.format(
         task=population.task,
         pairs=f"{found['self_play']['success']:.0%}",
@@ -96,9 +97,30 @@ def _crossplay(population: Population, found: Mapping[str, Any], pictures: Path)
         number=len(found["ids"]),
         episodes=found["episodes"],
         single=f"{found['best_single']['success']['mean']:.0%}",
+        who="one of these" if best.startswith("member") else f"`{best}`, which learned with several",
         expert=f"{sum(expert) / len(expert):.0%}",
-        verdict="So partners matter in this task." if found["valid"] else f"Partners do not matter: {found['why']}.",
+        verdict=_verdict(found),
         ways=_by_way([rows[one] for one in found["ids"]], found["matrix"]),
+    )
+
+
+def _verdict(found: Mapping[str, Any]) -> str:
+    """Whether partners matter, and by which numbers; see `validity.judge`."""
+    if not found["valid"]:
+        return f"Partners do not matter: {found['why']}."
+    lost = max(("return", "success"), key=lambda name: found["lost"][name])
+    still = np.mean(found["others"]["still"]["return"])
+    gains = {}
+    for name, zero in (("return", still), ("success", 0.0)):
+        best, knowing = (found[who][name]["mean"] - zero for who in ("best_single", "best_knowing"))
+        gains[name] = knowing / best - 1
+    gained = max(gains, key=lambda name: gains[name])
+    knowing = found["best_knowing"][gained]["robot"]
+    who = "everybody's own robot" if knowing == "their own" else f"the robot `{knowing}`"
+    above = {"return": " (above a still robot's)", "success": ""}
+    return (
+        f"Partners matter in this task: cross-play loses {found['lost'][lost]:.0%} of {lost}{above[lost]}, and\n"
+        f"{who} has {gains[gained]:.0%} more {gained}{above[gained]} than the best single robot."
     )
 
 

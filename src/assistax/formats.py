@@ -78,6 +78,8 @@ PLAN: Schema = {  # of a population, see teamwork/plan.py
 }
 SPLIT: Schema = {"train": [str], "val": [str], "test": [str]}
 VALIDITY: Schema = {"ids": [str], "matrix": {"return": [[float]]}}  # and more, see teamwork/validity.py
+_PARTS: Schema = {"train": [{str: str}], "test": [{str: str}]}
+TEAMWORK: Schema = {"task": str, "people": _PARTS, "gap": {str: object}}  # and more, see teamwork/report.py
 EXPERTS: Schema = [{"task": str, "policy": str, "human": _PERSON, "mean_return": float}]
 PEOPLE: Schema = [_PERSON]
 

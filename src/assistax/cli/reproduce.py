@@ -23,7 +23,7 @@ def reproduce(
     For example:
       assistax reproduce
       assistax reproduce --only scratch-ippo
-      assistax reproduce --budget 9m --only "version1/*-ippo-default-*M-?"
+      assistax reproduce --budget 9m --only "version1/*-ippo-default-[26]M-?"
 
     Args:
       budget: how long to work: 90s, 9m or 1.5h. What is missing is done in the order of the list; what does not get

@@ -16,11 +16,12 @@ from matplotlib.figure import Figure
 from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.evaluation.playing import EVALUATION_SEED
+from assistax.policies import Player
 from assistax.results.figures import STYLE
 from assistax.stamp import stamp
 from assistax.teamwork.adhoc import HURT, Meeting, by_pair, gap, only, scales, summarize
 from assistax.teamwork.strangers import check_robots, check_strangers, knows
-from assistax.training.configuration import TrainConfig
+from assistax.training.configuration import TrainConfig, configure
 from assistax.training.population import Population
 from assistax.training.run import Run
 
@@ -28,7 +29,7 @@ SHOWN = ("score", "gated_score", "return", "success", "safe_success", "gated_pre
 
 
 def report(
-    methods: Mapping[str, Sequence[Run]],
+    methods: Mapping[str, Sequence[Run | Player]],
     populations: Mapping[str, Population],
     episodes: int = 16,
     seed: int = EVALUATION_SEED,
@@ -37,7 +38,8 @@ def report(
     """Everybody with everybody.
 
     Args:
-      methods: by name the runs whose robots are measured; a run's seeds are the method's.
+      methods: by name the runs whose robots are measured, whose seeds are the method's; or robots made elsewhere, a
+        seed each, who observe what `assistax.make(task)` shows and of whom it is not known whom they have met.
       populations: by part, "test" and perhaps "train": the partners.
       episodes: with each partner.
       seed: of the draws.
@@ -54,14 +56,16 @@ def report(
         partner in training.
     """
     best_responses = best_responses or {}
-    measured = [run for runs in methods.values() for run in runs]
+    measured = [one for robots in methods.values() for one in robots if isinstance(one, Run)]
     check_robots([*measured, *best_responses.values()], populations)
     check_strangers(measured, populations)
-    everywhere = {p: Meetings(measured[0].config, population, episodes) for p, population in populations.items()}
+    task = next(iter(populations.values())).task
+    config = measured[0].config if measured else configure(task, {})
+    everywhere = {part: Meetings(config, population, episodes) for part, population in populations.items()}
     for meetings in everywhere.values():  # who does not fit is refused before anybody has played
         for run in (*measured, *best_responses.values()):
             meetings.of(run)
-    found: dict[str, Any] = {"task": measured[0].config.task, "episodes": episodes, "seed": seed}
+    found: dict[str, Any] = {"task": task, "episodes": episodes, "seed": seed}
     found["partners"] = {part: list(population.ids) for part, population in populations.items()}
     found["people"] = {part: [kind_of(row) for row in population.rows] for part, population in populations.items()}
     pairs: dict[str, dict[str, Any]] = {}  # by part and method
@@ -74,8 +78,8 @@ def report(
         references = {name: one for name, one in references.items() if not np.isnan(one["return"]).all()}
         scale = scales(references)
         pairs[part] = {
-            name: by_pair([robot for run in runs for robot in meetings(run, seed)], scale)
-            for name, runs in methods.items()
+            name: by_pair([robot for one in robots for robot in meetings(one, seed)], scale)
+            for name, robots in methods.items()
         }
         found[part] = {
             "references": {name: summarize(by_pair([one], scale)) for name, one in references.items()},
@@ -84,7 +88,7 @@ def report(
         }
     if {"train", "test"} <= set(populations):
         found["gap"] = {name: gap(pairs["train"][name], pairs["test"][name]) for name in methods}
-    return found | {"runs": {name: [_about(run) for run in runs] for name, runs in methods.items()}} | stamp()
+    return found | {"runs": {name: [_about(one) for one in robots] for name, robots in methods.items()}} | stamp()
 
 
 class Meetings:
@@ -108,9 +112,11 @@ class Meetings:
         _check_sizes(run, self._made[key].env, self.population)
         return self._made[key]
 
-    def __call__(self, run: Run, seed: int) -> list[dict[str, np.ndarray]]:
-        """What the robot of each of the run's seeds reaches, see Meeting."""
-        return [self.of(run)(team["robot"], seed) for team in run.teams()]
+    def __call__(self, one: Run | Player, seed: int) -> list[dict[str, np.ndarray]]:
+        """What the robot of each of a run's seeds reaches, or a robot by itself, see Meeting."""
+        if isinstance(one, Player):
+            return [self.plain(one, seed)]
+        return [self.of(one)(team["robot"], seed) for team in one.teams()]
 
 
 def meeting_env(run: Run, population: Population) -> Env:
@@ -181,8 +187,10 @@ def _cell(one: Mapping[str, Any]) -> str:
     return text if one["ci"] is None else f"{text} [{one['ci'][0]:.3g}, {one['ci'][1]:.3g}]"
 
 
-def _about(run: Run) -> dict[str, Any]:
-    config = run.config
+def _about(one: Run | Player) -> dict[str, Any]:
+    if isinstance(one, Player):
+        return {"policy": type(one.policy).__name__}
+    config = one.config
     return {"algorithm": config.algorithm, "steps": config.steps, "seeds": list(config.seeds)}
 
 
