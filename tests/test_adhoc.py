@@ -26,6 +26,7 @@ from assistax.teamwork.validity import judge, with_robots
 from assistax.training import splits
 from assistax.training.configuration import configure
 from assistax.training.population import Population
+from assistax.training.run import Run
 
 CONFIG = PPOConfig(num_steps=4, num_minibatches=1, hidden=(8, 8), initial_log_std=-1.0)
 SETTINGS = {"ppo.num_steps": 4, "ppo.num_minibatches": 1, "ppo.hidden": (8, 8), "env.human.preference": "default"}
@@ -42,6 +43,20 @@ def population():
         params = trainer.policy_params(init(jax.random.key(seed)))
         row = {"task": env.name, "algorithm": "ippo", "seed": seed, "steps": 64, "robot": True}
         row["person"] = dataclasses.asdict(Person(words, "default"))
+        made.append((row, {agent: Player.of(trainer.policy(False), params[agent]) for agent in params}))
+    return Population.of_teams(made)
+
+
+@pytest.fixture(scope="module")
+def two_kinds():
+    """Two untrained members of larger networks than `population` has."""
+    env = assistax.make("scratch-v1", engine="mujoco", human={"preference": "default"})
+    trainer = PPO(env, dataclasses.replace(CONFIG, hidden=(16,)), 2, 1)
+    init, made = jax.jit(trainer.init), []
+    for seed in (7, 8):
+        params = trainer.policy_params(init(jax.random.key(seed)))
+        row = {"task": env.name, "algorithm": "ippo", "seed": seed, "steps": 64, "robot": True}
+        row["person"] = dataclasses.asdict(Person("tremor", "default"))
         made.append((row, {agent: Player.of(trainer.policy(False), params[agent]) for agent in params}))
     return Population.of_teams(made)
 
@@ -191,6 +206,13 @@ def test_a_gap_of_one_seed_is_welchs():
     assert gap_ci(np.ones((3, 4)), np.zeros((3, 2))) is None and gap_ci(np.ones((1, 1)), np.zeros((1, 1))) is None
 
 
+def test_no_interval_hides_what_cannot_be_known():
+    """Two robots, two partners, each good with another one; and one robot with a single stranger."""
+    low, high = crossed_ci(np.array([[1.0, 0.0], [0.0, 1.0]]))
+    assert low < 0.2 and high > 0.8
+    assert gap_ci(np.array([[1.0, 0.5, 0.8]]), np.array([[0.2]])) is None
+
+
 def test_an_interval_of_one_seed_is_over_partners():
     x = np.array([[1.0, 2.0, 3.0, 6.0]])
     low, high = crossed_ci(x)
@@ -247,8 +269,52 @@ def test_robots_that_have_met_a_held_out_partner_are_refused(robots, tmp_path):
     assert [knows(run, member) for run in (learned, robot, other)] == [[True], [True], [False]]
 
     people = Population.scripted("scratch-v1", Person("none", "default"), ("shy", "follows"))
+    went_on = Population.of_teams([(row | {"taught": "offer"}, learned.teams(deterministic=False)[0])])
+    beside = stored_run(tmp_path / "beside", configure("scratch", SETTINGS, partners=(f"human={tmp_path}/other",)))
+    another = stored_run(tmp_path / "another", configure("scratch", SETTINGS, seed=5), seed=1)
+    assert [knows(run, went_on) for run in (other, beside, another)] == [[True], [True], [False]]
+
     shy = stored_run(tmp_path / "shy", configure("scratch", SETTINGS, partners=("human=shy",)))
     assert knows(shy, people) == [True, False] and knows(made["br"], people) == [False, False]
+
+
+def test_players_from_python_are_told_by_what_they_do(population, two_kinds, tmp_path):
+    """Members of two architectures and somebody with a habit, given as one player."""
+    strangers = population.select(population.ids[3:])
+    people = Population.scripted("scratch-v1", Person("tremor", "default"), ("shy", "follows"))
+    among = Population.merge([two_kinds, population.select(population.ids[:2]), people.select(people.ids[:1])])
+    settings = {k: v for k, v in SETTINGS.items() if "human" not in k} | {"env.human.people": among.people}
+    config = configure("scratch", settings)
+    given = {"human": among.partner("human", env=meeting(among).env)}
+    run = Run.create(config, tmp_path / "run", players=given)
+    assert all(knows(run, among)) and not any(knows(run, strangers))
+    assert knows(run, Population.scripted("scratch-v1", Person("none", "default"), ("shy", "follows"))) == [True, False]
+
+
+def test_everybodys_own_robot_may_be_of_another_architecture(population, two_kinds):
+    """And somebody may have none."""
+    people = Population.scripted("scratch-v1", Person("none", "default"), ("shy",))
+    mixed = Population.merge([population.select(population.ids[:2]), people, two_kinds])
+    everybody, own = meeting(mixed), meeting(mixed).references()["own"]["return"]
+    assert np.isnan(own[2]).all() and np.isfinite(own[[0, 1, 3, 4]]).all()
+    for row in (1, 3):
+        robot = mixed.select([mixed.ids[row]]).partner("robot", deterministic=True, by_person=False)
+        np.testing.assert_allclose(own[row], everybody(robot)["return"][row], rtol=1e-4)
+
+
+def test_robots_of_other_settings_are_not_compared(robots, tmp_path):
+    root, made = robots
+    settings = {k: v for k, v in SETTINGS.items() if "human" not in k} | {"env.episode_length": 30}
+    longer = stored_run(tmp_path / "l", configure("scratch", settings, partners=made["br"].config.partners))
+    with pytest.raises(UsageError, match=r"env.episode_length is 20 in .*/br and 30 in .*/l; only what was measured"):
+        report({"br": [made["br"]], "longer": [longer]}, parts_of(root, "test"), episodes=1)
+
+
+def test_members_who_observe_something_else_are_one_line(population):
+    """They were trained without seeing the preferences that people here see."""
+    env = assistax.make("scratch-v1", engine="mujoco", human={"people": population.people, "visibility": "none"})
+    with pytest.raises(UsageError, match=r"humans of the population, architecture ippo-.*, observe"):
+        Meeting(env, population, 1)
 
 
 def test_nobody_of_the_test_is_there_in_training(robots):
@@ -299,9 +365,9 @@ def test_partners_without_a_robot_are_no_obstacle_to_the_others(population, robo
 
 def test_a_robot_that_observes_something_else_is_refused_before_anybody_plays(robots, tmp_path, monkeypatch):
     root, made = robots
-    blind = {k: v for k, v in SETTINGS.items() if "human" not in k}
+    blind = {k: v for k, v in SETTINGS.items() if "human" not in k} | {"env.episode_length": 20}
     other = stored_run(tmp_path / "other", configure("scratch", blind))
-    monkeypatch.setattr(Meeting, "references", lambda _: pytest.fail("somebody played"))
+    monkeypatch.setattr(Meeting, "references", lambda *_: pytest.fail("somebody played"))
     for runs in ([made["br"], other], [other]):
         with pytest.raises(UsageError, match="observes 40 numbers, but beside these partners 47: its people had no"):
             report({"mine": runs}, parts_of(root, "test"), episodes=1)

@@ -251,6 +251,17 @@ def test_what_splits_part_by(population):
     assert {people[one] for one in extreme["train"]} == {1, 3, 2}  # at most half of six
 
 
+def test_who_passes_for_the_same_person_twice_is_in_one_part(population):
+    """As in two populations of the same people, trained for other numbers of steps, that were merged."""
+    twice = [row | {"id": f"later {row['id']}", "steps": 2 * row["steps"]} for row in population.rows]
+    merged = dataclasses.replace(population, rows=(*population.rows, *twice))
+    for seed in range(5):
+        parts = splits.split(merged, seed=seed)
+        of = {one: part for part, ids in parts.items() for one in ids}
+        assert all(of[row["id"]] == of[f"later {row['id']}"] for row in population.rows)
+        assert sorted(of) == sorted(merged.ids)
+
+
 def test_people_who_were_taught_one_way_are_left_out_as_wholes(population):
     ways = ("offers", "offers_second_way", "offers_third_way")
     taught = [

@@ -205,6 +205,8 @@ def test_so_it_is_side_by_side(whole, tmp_path, monkeypatch):
 class StopAfter:
     """A Ctrl-C that comes at the n-th time one is looked for."""
 
+    signalled = False
+
     def __init__(self, n):
         self.left = n
 
@@ -242,6 +244,36 @@ def test_stopped_anywhere_and_resumed_a_sweep_ends_as_one_left_alone(whole, tmp_
     assert told(sweep) == told(whole[0])
     before = lines(sweep)
     assert Sweep.open(folder).run() == whole[1] and lines(sweep) == before
+
+
+def test_a_signal_in_the_last_iteration_of_a_trial_stops_all_the_same(tmp_path, monkeypatch):
+    sweep = Sweep.create(small(), tmp_path / "sweep", 2, SEARCHED)
+    late = StopAfter(1000)
+    late.signalled = True
+    monkeypatch.setattr(assistax.training.sweep, "Stop", late)
+    assert sweep.run() is None and len(lines(sweep)) == 1
+
+
+def test_machines_that_share_a_sweep_cut_it_alike(tmp_path, monkeypatch):
+    """Begun on a CPU, for machines with an accelerator."""
+    Sweep.create(small(), tmp_path / "sweep", 2, SEARCHED, side_by_side=2)
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    (first, second) = Sweep.open(tmp_path / "sweep").jobs()
+    assert (first.name, second.name) == ("0000-0", "0000-1") and first.size == 2 * STEPS
+    with pytest.raises(UsageError, match="side_by_side must be 1 or more"):
+        Sweep.create(small(), tmp_path / "none", 2, SEARCHED, side_by_side=0)
+
+
+def test_a_checkpoint_that_goes_while_it_is_read_is_no_error(tmp_path, monkeypatch):
+    """Another process has just finished the trial; what is damaged is told by whoever would continue from it."""
+    sweep = Sweep.create(small(), tmp_path / "sweep", 2, SEARCHED)
+    monkeypatch.setattr(assistax.training.sweep, "Stop", StopAfter(2))
+    assert sweep.run() is None
+    (path,) = sweep.folder.glob("trials/*/unfinished.safetensors")
+    path.write_bytes(b"torn")
+    assert [job.done() for job in sweep.jobs()] == [0, 0, 0, 0]
+    with pytest.raises(UsageError, match=r"unfinished\.safetensors"):
+        sweep.run()
 
 
 def test_what_others_are_at_is_left_to_them(whole, tmp_path):

@@ -97,7 +97,7 @@ def _crossplay(population: Population, found: Mapping[str, Any], pictures: Path)
         number=len(found["ids"]),
         episodes=found["episodes"],
         single=f"{found['best_single']['success']['mean']:.0%}",
-        who="one of these" if best.startswith("member") else f"`{best}`, which learned with several",
+        who="one of these" if best.startswith("member") else f"`{best}`",
         expert=f"{sum(expert) / len(expert):.0%}",
         verdict=_verdict(found),
         ways=_by_way([rows[one] for one in found["ids"]], found["matrix"]),
@@ -113,14 +113,15 @@ def _verdict(found: Mapping[str, Any]) -> str:
     gains = {}
     for name, zero in (("return", still), ("success", 0.0)):
         best, knowing = (found[who][name]["mean"] - zero for who in ("best_single", "best_knowing"))
-        gains[name] = knowing / best - 1
+        gains[name] = knowing / best - 1 if best > 0 else np.inf
     gained = max(gains, key=lambda name: gains[name])
     knowing = found["best_knowing"][gained]["robot"]
     who = "everybody's own robot" if knowing == "their own" else f"the robot `{knowing}`"
     above = {"return": " (above a still robot's)", "success": ""}
+    more = f"{gains[gained]:.0%} more" if np.isfinite(gains[gained]) else "some"
     return (
         f"Partners matter in this task: cross-play loses {found['lost'][lost]:.0%} of {lost}{above[lost]}, and\n"
-        f"{who} has {gains[gained]:.0%} more {gained}{above[gained]} than the best single robot."
+        f"{who} has {more} {gained}{above[gained]} than the best single robot."
     )
 
 

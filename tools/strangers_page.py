@@ -17,9 +17,9 @@ PAGE = """# Robots that meet strangers
 
 Robots that learned with some people of a [population](partners.md), with these and with others of it, whom they had
 never met. [Ad-hoc teamwork](teamwork.md) says how they learned and what is measured. Intervals are 95 %, for new seeds
-and new partners; what has one seed or one partner only has none. "Their own" is the robot that each person learned
-with, who knows them; still, random and expert know nobody, the last one being told all that the simulator knows.
-Written from `results/teamwork/` by `python tools/pages.py strangers`.
+and new partners; of one robot, as of references, for new partners only. "Their own" is the robot that each person
+learned with, who knows them; still, random and expert know nobody, the last one being told all that the simulator
+knows. Written from `results/teamwork/` by `python tools/pages.py strangers`.
 
 {each}
 """
@@ -50,14 +50,14 @@ def _any(path: Path) -> Mapping[str, Any]:
 
 def _one(found: Mapping[str, Any], split: str, pictures: Path) -> str:
     picture(found, pictures / f"strangers_{found['task']}_{split}.png")
-    steps = sorted({run["steps"] / 1e6 for runs in found["runs"].values() for run in runs if "steps" in run})
+    steps = sorted({f"{run['steps'] / 1e6:g} M" for runs in found["runs"].values() for run in runs if "steps" in run})
     return ONE.format(
         task=found["task"],
         split=split,
         train=len(found["partners"]["train"]),
         test=len(found["partners"]["test"]),
         episodes=found["episodes"],
-        steps=" or ".join(f"{x:g}" for x in steps) + " M steps a robot",
+        steps=" or ".join(steps) + " steps a robot" if steps else "robots made elsewhere",
         methods=_table(found),
         kinds=_by_kind(found["people"]["test"], found["test"]),
     )
@@ -94,6 +94,7 @@ def _by_kind(people: Sequence[Mapping[str, str]], part: Mapping[str, Any]) -> st
         if len(there) > 1:
             for value in there:
                 label = "healthy" if (name, value) == ("disability", "none") else preferences.get(value, value)
+                label = f"habit {label}" if name == "habit" else label
                 columns[label.replace("_", " ")] = [one.get(name) == value for one in people]
     rows = []
     for group in ("references", "methods"):

@@ -277,8 +277,8 @@ def _of_the_paper(seeds: int) -> Iterator[Experiment]:
 
 
 def status(chosen: list[Experiment], results: Path, work: Path) -> list[tuple[Experiment, float]]:
-    """With the fraction of each that is done."""
-    return [(e, 1.0 if (results / e.name).exists() else e.progress(work / e.name)) for e in chosen]
+    """With the fraction of each that is done: 1 only of what lies in `results`."""
+    return [(e, 1.0 if (results / e.name).exists() else min(0.999, e.progress(work / e.name))) for e in chosen]
 
 
 def advance(chosen: list[Experiment], results: Path, work: Path, seconds: float) -> list[Experiment]:

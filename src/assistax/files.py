@@ -9,6 +9,7 @@ import json
 import math
 import os
 import reprlib
+import uuid
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -140,8 +141,8 @@ def _read_bytes(path: Path) -> bytes:
 
 
 def write_atomically(path: Path, content: bytes) -> None:
-    """Write a file so that a reader, or a crash, sees the old content or the new, never a part."""
-    part = path.with_name(path.name + ".part")
+    """Write a file so that a reader, another writer or a crash sees the old content or the new, never a part."""
+    part = path.with_name(f"{path.name}.{uuid.uuid4().hex[:8]}.part")
     try:
         with writing(path):
             with open(part, "wb") as file:

@@ -85,7 +85,7 @@ PEOPLE: Schema = [_PERSON]
 
 _SETTING: Schema = (str, bool, float, [float])
 _SWEEP_CONFIG: Schema = CONFIG | {"stamp": {"versions": {str: str}, "commit": (str, None)}}
-SWEEP: Schema = {"config": _SWEEP_CONFIG, "search": {str: str}, "drawn": [{str: _SETTING}]}
+SWEEP: Schema = {"config": _SWEEP_CONFIG, "search": {str: str}, "drawn": [{str: _SETTING}], "side_by_side?": COUNT}
 TRIAL: Schema = {
     "config": STEPS,
     "seed": SEEDS,

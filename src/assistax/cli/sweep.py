@@ -75,19 +75,22 @@ def sweep(
     """
     from assistax.executors.jobs import is_worker
     from assistax.files import writing
-    from assistax.settings import check_count, parse_assignments
+    from assistax.settings import parse_assignments
     from assistax.training.configuration import configure
     from assistax.training.search import SEARCH
     from assistax.training.sweep import Sweep
 
-    if side_by_side is not None:
-        check_count("side_by_side", side_by_side)
     using = find_executor(processes, executor, executor_set)  # asked before anything is written
     if resume is not None:
         given: dict[str, Any] = {"task": task, "algorithm": algorithm, "configs": configs, "seeds": seeds}
         given |= {"recurrent": recurrent or None, "share-parameters": share_parameters or None, "steps": steps}
         given |= {"num-envs": num_envs, "seed": seed, "engine": engine, "preset": preset, "out": out}
-        given |= {"partner": partner or None, "search": search or None, "set": set or None}
+        given |= {
+            "side-by-side": side_by_side,
+            "partner": partner or None,
+            "search": search or None,
+            "set": set or None,
+        }
         if extra := [name for name, value in given.items() if value is not None]:
             raise UsageError(f"--resume takes everything from the sweep; leave out {', '.join(extra)}.")
         found = Sweep.open(resume)
@@ -104,10 +107,11 @@ def sweep(
             raise UsageError(f"{both[0]} is both fixed by --set and searched; leave out one.")
         wanted = {name: text for name, text in SEARCH.get(config.group, {}).items() if name not in fixed} | asked
         name = f"sweep-{task}-{config.algorithm}{'-rnn' * recurrent}{'-shared' * share_parameters}-{config.seed}"
-        found = Sweep.create(config, out or free_folder(name), 168 if configs is None else configs, wanted)
+        count = 168 if configs is None else configs
+        found = Sweep.create(config, out or free_folder(name), count, wanted, side_by_side)
     print(f"{found.config.task}, {len(found.drawn)} configurations, into {found.folder}", file=sys.stderr)
     with writing(found.folder):
-        ranking = found.run(side_by_side) if using is None else found.run_with(using, processes, side_by_side)
+        ranking = found.run() if using is None else found.run_with(using, processes)
     if ranking is None:
         if is_worker():
             return

@@ -158,7 +158,9 @@ def crossed_ci(scores: np.ndarray) -> Interval | None:
         squares, degrees = _mean_squares(x)
         total = squares[0] + squares[1] - squares[2]
         freedom = total**2 / (squares**2 / degrees).sum()
-        if squares[:2].min() <= squares[2]:  # one of the two components is none
+        if squares[:2].max() <= squares[2]:  # both components are none, and all numbers of one kind
+            total, freedom = x.var(ddof=1), x.size - 1
+        elif squares[:2].min() <= squares[2]:  # one of the two is
             larger = squares[:2].argmax()
             total, freedom = squares[larger], degrees[larger]
         error = np.sqrt(total / x.size)
@@ -174,11 +176,12 @@ def gap_ci(known: np.ndarray, strange: np.ndarray) -> Interval | None:
     partners; Student's t has Satterthwaite's degrees of freedom. With one seed it is Welch's interval for new partners
     of that robot. With normal effects it covers 93 to 98 % at 3 seeds with 14 and 5 partners, and 90 to 98 % at 2.
 
-    None where there is nothing to go by: one number of either kind, or no spread at all.
+    None where there is nothing to go by: of one seed one number of either kind, or no spread at all. With several
+    seeds and one partner of a kind it is an interval for new seeds beside that partner.
     """
     a, b = np.asarray(known, np.float64), np.asarray(strange, np.float64)
     seeds, kinds = len(a), (a, b)
-    if max(np.ptp(a), np.ptp(b)) == 0:
+    if max(np.ptp(a), np.ptp(b)) == 0 or (seeds == 1 and min(a.size, b.size) < 2):
         return None
     terms = []  # of the variance, each with its degrees of freedom
     if seeds > 1:

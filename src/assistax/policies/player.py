@@ -4,6 +4,7 @@ A policy acts on one observation [n]; batch it with `jax.vmap`. Its parameters a
 with every call, so that a population is the same policy with a leading axis on the parameters.
 """
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -87,6 +88,11 @@ class Player:
         """The parameters of one member."""
         return jax.tree.map(lambda x: x[index], self.params)
 
+    def take(self, rows: Any, by_person: bool = False) -> "Player":
+        """The members rows[i] in this order, somebody perhaps several times."""
+        params = jax.tree.map(lambda x: x[rows], self.params)
+        return dataclasses.replace(self, params=params, members=len(rows), by_person=by_person)
+
     def initial_carry(self) -> Any:
         """Memory at the beginning of an episode."""
         return self.policy.initial_carry()
@@ -127,22 +133,28 @@ class Mixed(Player):
         params = jnp.asarray(kind), jnp.asarray(row), tuple(player.params for player in players)
         return cls(Kinds(tuple(player.policy for player in players)), params, len(kind), by_person)
 
+    def take(self, rows: Any, by_person: bool = False) -> "Mixed":
+        kinds, places, params = self.params
+        chosen = kinds[rows], places[rows], params
+        return dataclasses.replace(self, params=chosen, members=len(rows), by_person=by_person)
+
     @property
-    def _players(self) -> list[Player]:
+    def players(self) -> list[Player]:
+        """Its members by kind."""
         return [
             Player(policy, params, max([len(x) for x in jax.tree.leaves(params)], default=1))
             for policy, params in zip(self.policy.policies, self.params[2], strict=True)
         ]
 
     def _check_params(self) -> None:
-        for player in self._players:
+        for player in self.players:
             player._check_params()
 
     def member(self, index: jax.Array | int) -> Any:
         """Its kind, and of every kind the parameters of somebody: of its own kind, its own."""
         kinds, rows, _ = self.params
         return kinds[index], [
-            p.member(jnp.where(kinds[index] == i, rows[index], 0)) for i, p in enumerate(self._players)
+            p.member(jnp.where(kinds[index] == i, rows[index], 0)) for i, p in enumerate(self.players)
         ]
 
     def act(self, chosen: Any, carry: Any, obs: jax.Array, state: Any, reset: jax.Array, key: jax.Array):
@@ -163,7 +175,7 @@ class Mixed(Player):
 
             return branch
 
-        return jax.lax.switch(kind, [of(i, player) for i, player in enumerate(self._players)], carry)
+        return jax.lax.switch(kind, [of(i, player) for i, player in enumerate(self.players)], carry)
 
 
 Team = dict[str, Player]

@@ -13,7 +13,7 @@ from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.evaluation.playing import EVALUATION_SEED, Evaluator
 from assistax.evaluation.statistics import crossed_ci, gap_ci
-from assistax.policies import Mixed, Player, scripted_policy
+from assistax.policies import Player, scripted_policy
 from assistax.settings import check_count
 from assistax.training.population import Population
 
@@ -41,6 +41,7 @@ class Meeting:
         check_count("episodes", episodes)
         if env.config.human.people != population.people:
             raise UsageError("The environment's people (env.human.people) must be the population's.")
+        population.check_observations("human", env, "the population")
         self.env, self.population, self.episodes = env, population, episodes
         self.partner = population.partner("human", env=env)
         self._people = np.repeat(np.arange(len(population)), episodes)
@@ -52,10 +53,10 @@ class Meeting:
         found = result["metrics"]
         return {k: np.asarray(found[k], float).reshape(-1, self.episodes) for k in MEASURES if k in found}
 
-    def references(self) -> dict[str, dict[str, np.ndarray]]:
+    def references(self, seed: int = EVALUATION_SEED) -> dict[str, dict[str, np.ndarray]]:
         """What robots reach that know nobody (NOBODYS), CONSIDERATE, and each partner's own robot ("own")."""
         named = (*NOBODYS, CONSIDERATE) if self.env.config.human.preferring else NOBODYS
-        found = {name: self.scripted(name) for name in named}
+        found = {name: self.scripted(name, seed) for name in named}
         with_robot = np.array([row["robot"] for row in self.population.rows])
         if with_robot.any():
             kept = self.population.select(
@@ -63,9 +64,7 @@ class Meeting:
             )
             place = np.where(with_robot, np.cumsum(with_robot) - 1, 0)  # of each partner's robot; anybody's for others
             robots = kept.partner("robot", deterministic=True)
-            found["own"] = only(
-                with_robot, self(Mixed.of_players([robots], np.zeros_like(place), place, by_person=True))
-            )
+            found["own"] = only(with_robot, self(robots.take(place, by_person=True), seed))
         return found
 
     def scripted(self, name: str, seed: int = EVALUATION_SEED) -> dict[str, np.ndarray]:
@@ -130,13 +129,13 @@ def by_pair(
 
 
 def summarize(pairs: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """What `by_pair` found of one method, ready for JSON.
+    """What `by_pair` found of one method, ready for JSON; without measures of which no partner has a number.
 
     Returns:
       by measure "mean", "ci" (95 %, for new seeds and new partners, see crossed_ci), "by_partner" [partners] (None for
       those whom a reference does not know) and "worst", the mean over the worst tenth of the partners.
     """
-    return {name: _measure(name, x) for name, x in pairs.items()}
+    return {name: _measure(name, x) for name, x in pairs.items() if not np.isnan(x).any(0).all()}
 
 
 def gap(known: Mapping[str, np.ndarray], strange: Mapping[str, np.ndarray]) -> dict[str, Any]:

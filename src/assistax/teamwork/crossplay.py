@@ -109,15 +109,7 @@ def _check(entrants: Sequence[Entrant], people: Sequence[Entrant] | None) -> Non
     names = [entrant.name for entrant in entrants]
     if twice := [name for name in names if names.count(name) > 1]:
         raise UsageError(f"{twice[0]} is there twice; name every team once.")
-    first = entrants[0]
-    for other in entrants[1:]:
-        ours, theirs = _settings(first.env), _settings(other.env)
-        for name, value in ours.items():
-            if not name.startswith("env.human.") and theirs.get(name, value) != value:
-                raise UsageError(
-                    f"{name} is {value} in {first.name} and {theirs[name]} in {other.name}; "
-                    "cross-play is of one task with the same settings."
-                )
+    check_alike([(entrant.name, entrant.env) for entrant in entrants])
     for human in people or entrants:
         sizes = human.env.observation_sizes
         for robot in entrants:
@@ -126,6 +118,18 @@ def _check(entrants: Sequence[Entrant], people: Sequence[Entrant] | None) -> Non
                 raise UsageError(
                     f"The robot of {robot.name} observes {size} numbers and would get {sizes['robot']} beside the "
                     f"person of {human.name}: one of them was trained with preferences to be seen, the other without."
+                )
+
+
+def check_alike(envs: Sequence[tuple[Any, Env]]) -> None:
+    """Raise UsageError unless these environments, each with a name, differ in nothing but who the person is."""
+    for place, env in envs[1:]:
+        ours, theirs = _settings(envs[0][1]), _settings(env)
+        for name, value in ours.items():
+            if not name.startswith("env.human.") and theirs.get(name, value) != value:
+                raise UsageError(
+                    f"{name} is {value} in {envs[0][0]} and {theirs[name]} in {place}; "
+                    "only what was measured in one task with the same settings can be compared."
                 )
 
 

@@ -1,7 +1,9 @@
 """A population from the runs that trained its members."""
 
 from collections.abc import Iterable
+from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,8 @@ from assistax.errors import UsageError
 from assistax.files import read_json
 from assistax.formats import SUMMARY
 from assistax.training import journal
-from assistax.training.population import Population
+from assistax.training.configuration import TrainConfig
+from assistax.training.population import Population, self_of
 from assistax.training.run import Run
 
 FRACTIONS = (1 / 3, 2 / 3)
@@ -21,11 +24,12 @@ def gather(runs: Iterable[Run]) -> Population:
 
     Each run was trained with one person of its own.
 
-    Raises UsageError for a run that is not finished, or was trained with people drawn afresh.
+    Raises UsageError for a run that is not finished, or is being prolonged, whose person or robot did not learn, or
+    that was trained with people drawn afresh.
     """
     teams = []
     for run in runs:
-        person, summary = one_person(run), _summary(run)
+        person, summary = one_person(run.config, run.folder), _summary(run)
         for seed, team, report in zip(run.seeds.seeds, run.teams(), summary["evaluation"], strict=True):
             row: dict[str, Any] = {"task": run.config.task, "algorithm": run.config.algorithm}
             row |= {"seed": seed, "steps": summary["steps"], "person": person, "robot": True}
@@ -67,25 +71,46 @@ def _earlier(run: Run, row: dict[str, Any], final: dict[str, Any]) -> list[tuple
     return teams
 
 
-def one_person(run: Run) -> dict[str, str]:
-    """Whom a run was trained with, in words."""
-    human = run.config.env.human
+def one_person(config: TrainConfig, place: Path | str) -> dict[str, str]:
+    """Whom a run, in `place`, was trained with, in words."""
+    human = config.env.human
     if human.people != "none" and len(human.listed) == 1:
         return {"disability": human.listed[0].disability, "preference": human.listed[0].preference}
     if human.people != "none" or human.disability == "standard" or human.preference == "sweep":
-        raise UsageError(f"{run.folder} was trained with people drawn afresh, not with one person.")
+        raise UsageError(f"{place} was trained with people drawn afresh, not with one person.")
     return {"disability": human.disability, "preference": human.preference}
+
+
+def selves_of(config: TrainConfig) -> set:
+    """What a training's people, a seed each, have in common with all their selves in populations, see `self_of`.
+
+    None where many people were drawn, or they did not learn.
+    """
+    with suppress(UsageError):
+        row: dict[str, Any] = {"person": one_person(config, ""), "algorithm": config.algorithm}
+        row |= {"taught": habit} if (habit := _taught(config)) else {}
+        learned = not any(text.startswith("human=") for text in config.partners)
+        return {self_of(row | {"seed": seed}) for seed in config.seeds} if learned else set()
+    return set()
 
 
 def taught(run: Run) -> str:
     """The script that a run's person was taught at first, in this run or in that which it began with; "" for none."""
-    teachers = getattr(run.config.method, "teachers", ())
-    habit = next((name for agent, _, name in (one.partition("=") for one in teachers) if agent == "human"), "")
+    habit = _taught(run.config)
     return habit if habit or run.start is None else taught(Run.open(run.start))
+
+
+def _taught(config: TrainConfig) -> str:
+    teachers = getattr(config.method, "teachers", ())
+    return next((name for agent, _, name in (one.partition("=") for one in teachers) if agent == "human"), "")
 
 
 def _summary(run: Run) -> dict[str, Any]:
     path = run.folder / "summary.json"
     if not path.exists():
         raise UsageError(f"{run.folder} is not finished: it has no summary.json.")
+    if frozen := {"robot", "human"} - set(run.trainer.learners):
+        raise UsageError(f"The {min(frozen)} of {run.folder} did not learn; a member is a team that learned together.")
+    if run.measured(run.seeds.seeds[0]) is None:
+        raise UsageError(f"{run.folder} is being prolonged; let it finish: assistax train --resume {run.folder}")
     return read_json(path, SUMMARY)

@@ -70,7 +70,7 @@ def report(
     found["people"] = {part: [kind_of(row) for row in population.rows] for part, population in populations.items()}
     pairs: dict[str, dict[str, Any]] = {}  # by part and method
     for part, meetings in everywhere.items():
-        references = meetings.plain.references()
+        references = meetings.plain.references(seed)
         for name, run in best_responses.items():
             known = np.array(knows(run, meetings.population))
             for k, one in zip(run.seeds.seeds, meetings(run, seed), strict=True):

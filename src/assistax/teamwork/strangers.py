@@ -6,20 +6,25 @@ import jax
 import numpy as np
 
 from assistax.errors import UsageError
-from assistax.policies import Player
+from assistax.policies import Mixed, Player
+from assistax.policies.habits import HABITS, Habits
+from assistax.teamwork.crossplay import check_alike
+from assistax.teamwork.gather import selves_of
+from assistax.training.configuration import stored_config
 from assistax.training.partners import split_pair
 from assistax.training.population import Population, self_of
 from assistax.training.run import Run
 
 
 def check_robots(runs: Sequence[Run], populations: Mapping[str, Population]) -> None:
-    """Raise UsageError unless the robots of these runs learned, in the task of the partners."""
+    """Raise UsageError unless the robots of these runs learned, in the task of the partners, with the same settings."""
     for population in populations.values():
         for run in runs:
             if run.config.task != population.task:
                 raise UsageError(f"{run.folder} is of {run.config.task}, the partners are of {population.task}.")
             if "robot" not in run.trainer.learners:
                 raise UsageError(f"The robot of {run.folder} did not learn; there is nothing to measure.")
+    check_alike([(run.folder, run.env) for run in runs])
 
 
 def check_strangers(runs: Sequence[Run], populations: Mapping[str, Population]) -> None:
@@ -27,15 +32,18 @@ def check_strangers(runs: Sequence[Run], populations: Mapping[str, Population]) 
     for part, population in populations.items():
         for run in runs if part != "train" else ():
             if met := [one for one, known in zip(population.ids, knows(run, population), strict=True) if known]:
-                raise UsageError(f"{run.folder} was trained with {met[0][:12]}, a partner of the {part}.")
+                raise UsageError(
+                    f"{run.folder} was trained with {met[0][:12]}, a partner of the {part}, or with another self of it."
+                )
 
 
 def knows(run: Run, population: Population) -> list[bool]:
     """By member, whether the run's robots were trained with that person, or with an earlier or later self of it.
 
     People are told by what they do, their actors' weights, whatever they were called: a run's partner may have been
-    another run, a team file or a population, or the person that learned beside the robot. Who it met in the run that
-    it began with, it has met.
+    another run, a team file or a population, or the person that learned beside the robot; and by how they were trained,
+    as a training may have gone on since: see `self_of`. Habits are told by their names, whatever the body. Who it met
+    in the run that it began with, it has met.
     """
     if run.start is not None:
         before = knows(Run.open(run.start), population)
@@ -46,24 +54,37 @@ def knows(run: Run, population: Population) -> list[bool]:
 def _met(run: Run, population: Population) -> list[bool]:
     partner = run.partners.get("human")
     if partner is not None and partner.population is not None:
-        ids, selves = set(partner.population.ids), {self_of(row) for row in partner.population.rows}
-        return [row["id"] in ids or self_of(row) in selves for row in population.rows]
+        theirs = partner.population.rows
+        habits, selves = {row.get("habit") for row in theirs}, {self_of(row) for row in theirs}
+        return [row["habit"] in habits if "habit" in row else self_of(row) in selves for row in population.rows]
     habits = {name for agent, name in map(split_pair, run.config.partners) if agent == "human"}
     people = [partner.player] if partner is not None else [team["human"] for team in run.teams()]
     met = [actor for person in people for actor in _actors(person)]
+    trained = run.config if partner is None else partner.trained and stored_config(partner.trained, str(run.folder))
+    selves = selves_of(trained) if trained else set()
     return [
-        row["habit"] in habits
+        row["habit"] in habits or any(_is_habit(row["habit"], person) for person in people)
         if "habit" in row
-        else any(_same(population.member(row)["human"]["actor"], actor) for actor in met)
+        else self_of(row) in selves or any(_same(population.member(row)["human"]["actor"], actor) for actor in met)
         for row in population.rows
     ]
 
 
 def _actors(player: Player) -> list:
     """Its members' actors; none of a scripted player."""
+    if isinstance(player, Mixed):
+        return [actor for one in player.players for actor in _actors(one)]
     if not isinstance(player.params, dict) or "actor" not in player.params:
         return []
     return [player.member(i)["actor"] for i in range(player.members)]
+
+
+def _is_habit(name: str, player: Player) -> bool:
+    """Whether somebody with this habit is among a player's members."""
+    if isinstance(player, Mixed):
+        return any(_is_habit(name, one) for one in player.players)
+    habit = {key: np.float32(value) for key, value in vars(HABITS[name]).items()}
+    return isinstance(player.policy, Habits) and any(player.member(i) == habit for i in range(player.members))
 
 
 def _same(stored, actor) -> bool:

@@ -125,13 +125,7 @@ def _of_population(population: Population, place: str, env: Env, agent: str) -> 
             f"The members of {place} bring their bodies and preferences along: env.human.people must be "
             f"theirs{', and is another list' if mine != 'none' else ''}."
         )
-    for name, policies in population.weights.items():
-        theirs = policies[agent]["normalizer"]["mean"].shape[-1] if agent in policies else 0
-        if theirs != env.observation_sizes[agent]:
-            raise UsageError(
-                f"The {agent}s of {place}, architecture {name}, observe {theirs} numbers, but the {agent} here "
-                f"{env.observation_sizes[agent]}: its settings (preferences, for example) were others."
-            )
+    population.check_observations(agent, env, place)
     player = population.partner(agent, by_person=agent == "human", env=env)
     return Partner(player, population=population)
 

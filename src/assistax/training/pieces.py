@@ -62,8 +62,8 @@ def prune(folder: Path) -> None:
 
     As long as one of them is damaged, pieces stay: it may be replaced by a copy of what it was.
     """
-    for part in folder.glob("*.safetensors.part"):
-        part.unlink()
+    for part in folder.glob("*.safetensors*.part"):
+        part.unlink(missing_ok=True)
     with suppress(UsageError):
         listed = {name for path in folder.glob("*.safetensors") for name in _listed(path)}
         for file in (folder / _FOLDER).glob("*"):

@@ -165,7 +165,7 @@ class Population:
         ours = {*beside, *written} if beside else set()
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
-            there = {path.name for path in folder.iterdir()}
+            there = {path.name for path in folder.iterdir() if path.suffix != ".part"}  # of a writer that was killed
         if there - ours:
             raise UsageError(f"{folder} is not empty; a population is written into a folder of its own.")
         for name, weights in self.weights.items():
@@ -236,6 +236,16 @@ class Population:
         if len(players) == 1:
             return dataclasses.replace(players[0], by_person=by_person)
         return Mixed.of_players(players, kind, place, by_person)
+
+    def check_observations(self, agent: str, env: Env, place: Path | str) -> None:
+        """Raise UsageError, naming `place`, if a member's policy of this agent observes something else in `env`."""
+        for name, policies in self.weights.items():
+            theirs = policies[agent]["normalizer"]["mean"].shape[-1] if agent in policies else 0
+            if theirs != env.observation_sizes[agent]:
+                raise UsageError(
+                    f"The {agent}s of {place}, architecture {name}, observe {theirs} numbers, but the {agent} here "
+                    f"{env.observation_sizes[agent]}: its settings (preferences, for example) were others."
+                )
 
     def _player(self, name: str, rows: list[dict[str, Any]], agent: str, deterministic: bool, env: Env | None):
         """These members of one architecture, in this order."""

@@ -102,6 +102,10 @@ def by_convention(population: Population, rng: np.random.Generator, crossplay: M
     """
     from scipy.cluster.hierarchy import fcluster, linkage
 
+    if any("habit" in row for row in population.rows):
+        raise UsageError(
+            "People with habits have no robots, and so no place in a cross-play; split a population of teams."
+        )
     if set(crossplay["ids"]) != set(population.ids):
         raise UsageError("The cross-play is of other members; make it anew with `assistax teamwork validity`.")
     returns = np.array(crossplay["matrix"]["return"])
@@ -128,7 +132,8 @@ def split(
     final = population.select([row["id"] for row in population.rows if "fraction" not in row])
     check_seed("seed", seed)
     rng = np.random.default_rng(seed)
-    return check(population, KINDS[kind](final, rng) if crossplay is None else by_convention(final, rng, crossplay))
+    parts = KINDS[kind](final, rng) if crossplay is None else by_convention(final, rng, crossplay)
+    return check(population, _selves_together(final, parts))
 
 
 def check(population: Population, parts: Split) -> Split:
@@ -197,6 +202,21 @@ def with_earlier(population: Population, chosen: Population) -> Population:
     mine = {self_of(row) for row in chosen.rows}
     earlier = [row["id"] for row in population.rows if "fraction" in row and self_of(row) in mine]
     return population.select([*chosen.ids, *earlier])
+
+
+def _selves_together(population: Population, parts: Split) -> Split:
+    """With those who pass for selves of each other in one part: the same person, algorithm, seed and way twice.
+
+    As from two populations that were merged. Who has met one of them counts as having met the other.
+    """
+    first = {}
+    for part, ids in parts.items():
+        for one in ids:
+            first.setdefault(self_of(_row(population, one)), part)
+    return {
+        part: [i for ids in parts.values() for i in ids if first[self_of(_row(population, i))] == part]
+        for part in parts
+    }
 
 
 def _shares(ids: list[str]) -> Split:

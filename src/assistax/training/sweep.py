@@ -20,6 +20,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ import numpy as np
 from assistax.errors import UsageError
 from assistax.evaluation.statistics import seed_ci
 from assistax.executors.drive import Executor, drive
-from assistax.executors.jobs import Job, is_worker, work
+from assistax.executors.jobs import Job, work
 from assistax.files import read_json, write_json
 from assistax.formats import SWEEP, TRIAL, UNFINISHED
 from assistax.learning.tuned import tunable
@@ -60,7 +61,19 @@ LAST = 0.1  # share of a trial that its final return and success are of
 class Sweep:
     """A sweep folder, new or found. Use `create` or `open`."""
 
-    def __init__(self, folder: Path, config: TrainConfig, search: Search, drawn: Sequence[dict[str, Any]]):
+    def __init__(
+        self,
+        folder: Path,
+        config: TrainConfig,
+        search: Search,
+        drawn: Sequence[dict[str, Any]],
+        side_by_side: int | None = None,
+    ):
+        if side_by_side is None:
+            side_by_side = 1 if jax.default_backend() == "cpu" else config.num_seeds
+        if side_by_side < 1:
+            raise UsageError(f"side_by_side must be 1 or more, not {side_by_side}.")
+        self.side_by_side = side_by_side  # the same for all machines that share the work
         self.folder, self.config, self.search, self.drawn = folder, config, dict(search), list(drawn)
         self.seeds = range(config.seed, config.seed + config.num_seeds)
         floats = {f"{config.group}.{name}" for name in tunable(config.method)}
@@ -85,8 +98,14 @@ class Sweep:
         self._compiled: Program | None = None
 
     @classmethod
-    def create(cls, config: TrainConfig, folder: Path, count: int, search: Search) -> "Sweep":
-        """Draw `count` configurations and make the folder, which must be new or empty."""
+    def create(
+        cls, config: TrainConfig, folder: Path, count: int, search: Search, side_by_side: int | None = None
+    ) -> "Sweep":
+        """Draw `count` configurations and make the folder, which must be new or empty.
+
+        `side_by_side` says how many trials a program trains at once (default: on an accelerator as many as there are
+        seeds, on a CPU one).
+        """
         if count < 1:
             raise UsageError(f"configs must be 1 or more, not {count}.")
         if not search:
@@ -96,7 +115,7 @@ class Sweep:
             )
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise UsageError(f"{folder} is already in use; name another --out, or continue it with --resume {folder}.")
-        sweep = cls(folder, config, search, draw(search, count, config.seed))
+        sweep = cls(folder, config, search, draw(search, count, config.seed), side_by_side)
         for run in set(sweep._runs.values()):
             check_memory(run.trainer)
             if run.config.devices > 1:
@@ -107,16 +126,17 @@ class Sweep:
             raise UsageError(f"Cannot write to {folder}: {error.strerror}.") from None
         copies = keep_partners(sweep._runs[0].partners, folder)
         sweep.config = config = dataclasses.replace(config, partner_copies=copies)
-        write_json(folder / "sweep.json", {"config": to_json(config), "search": sweep.search, "drawn": sweep.drawn})
+        about = {"search": sweep.search, "drawn": sweep.drawn, "side_by_side": sweep.side_by_side}
+        write_json(folder / "sweep.json", {"config": to_json(config)} | about)
         return sweep
 
     @classmethod
     def open(cls, folder: Path) -> "Sweep":
         """Read a sweep folder; it must have been begun with the versions and the source that are installed now."""
-        config, search, drawn, begun = read_sweep(folder)
+        config, search, drawn, side_by_side, begun = read_sweep(folder)
         if differ := stamp_changes(begun, stamp()):
             raise UsageError(f"{folder} was begun with {', '.join(differ)}. Go back to that, or start a new sweep.")
-        return cls(folder, config, search, drawn)
+        return cls(folder, config, search, drawn, side_by_side)
 
     def trials(self) -> dict[Trial, dict[str, Any]]:
         """What the finished trials came to."""
@@ -139,15 +159,10 @@ class Sweep:
 
     # -- training ------------------------------------------------------------------------------
 
-    def run(self, side_by_side: int | None = None, seconds: float = math.inf) -> list[dict[str, Any]] | None:
-        """Train what has not been trained, nor is just being trained by others.
+    def run(self, seconds: float = math.inf) -> list[dict[str, Any]] | None:
+        """Train what has not been trained, nor is just being trained by others, for about so many seconds.
 
         Returns the ranking, or None if not all is finished: after Ctrl-C or `seconds`, or because others are at it.
-
-        Args:
-          side_by_side: how many trials a program trains at once (default: on an accelerator as many as there are
-            seeds, on a CPU one).
-          seconds: for how long, about.
         """
         self.trials()  # what is of another sweep is refused before anything is trained
 
@@ -156,25 +171,22 @@ class Sweep:
             best = max((one["auc"] for one in ranking if one["auc"] is not None), default=math.nan)
             bar.set_postfix_str(f"{sum(one['seeds'] for one in ranking)} trials, best area {best:.0f}", False)
 
-        mine = self.jobs(side_by_side, seconds, lambda steps: bar.update(steps), report)
+        mine = self.jobs(seconds, lambda steps: bar.update(steps), report)
         with progress_bar(sum(job.size for job in mine), sum(job.done() for job in mine)) as bar:
             work(self.folder / WORKERS, mine)
-        return None if is_worker() else self.finish()
+        return self.finish()
 
-    def run_with(
-        self, using: Executor, workers: int | None = None, side_by_side: int | None = None
-    ) -> list[dict[str, Any]] | None:
+    def run_with(self, using: Executor, workers: int | None = None) -> list[dict[str, Any]] | None:
         """`run` in as many processes as an executor starts."""
         command = [sys.executable, "-m", "assistax", "sweep", "--resume", str(self.folder.resolve())]
-        command += [] if side_by_side is None else ["--side-by-side", str(side_by_side)]
-        drive(self.folder / WORKERS, self.jobs(side_by_side), using, command, workers, progress_bar)
+        drive(self.folder / WORKERS, self.jobs(), using, command, workers, progress_bar)
         return self.finish()
 
     def finish(self) -> list[dict[str, Any]] | None:
         """The ranking, written down with all pictures, if all trials are finished; None before."""
-        ranking = self._report()
-        if sum(one["seeds"] for one in ranking) < len(self.drawn) * len(self.seeds):
+        if len(self.trials()) < len(self.drawn) * len(self.seeds):
             return None
+        ranking = self._report()
         for name in intervals(self.search):
             path = self.folder / f"sweep_{name.split('.')[-1]}.png"
             save_figure(facets(ranking, self.search, name, self._title()), path)
@@ -182,7 +194,6 @@ class Sweep:
 
     def jobs(
         self,
-        side_by_side: int | None = None,
         seconds: float = math.inf,
         advance: Callable[[int], Any] = lambda steps: None,
         report: Callable[[], Any] = lambda: None,
@@ -191,16 +202,12 @@ class Sweep:
 
         `advance` is told of steps, `report` called after each.
         """
-        if side_by_side is None:
-            side_by_side = 1 if jax.default_backend() == "cpu" else len(self.seeds)
-        if side_by_side < 1:
-            raise UsageError(f"side_by_side must be 1 or more, not {side_by_side}.")
         deadline = time.monotonic() + seconds
         found = []
         for members in self._programs:  # whose trials come one after the other, so that each is compiled once
             every = [(i, seed) for seed in self.seeds for i in members]
-            for at in range(0, len(every), side_by_side):
-                found.append(self._job(every[at : at + side_by_side], deadline, advance, report))
+            for at in range(0, len(every), self.side_by_side):
+                found.append(self._job(every[at : at + self.side_by_side], deadline, advance, report))
         return found
 
     def _job(self, chunk: list[Trial], deadline: float, advance: Callable, report: Callable) -> Job:
@@ -210,8 +217,10 @@ class Sweep:
             return [trial for trial in chunk if not (self._place(trial) / FINISHED).exists()]
 
         def done():
-            missing, finished = left(), size - sum(self._steps(i) for i, _ in left())
-            stored = _read_unfinished(place / UNTIL_NOW, missing) if missing else None
+            missing, stored = left(), None
+            finished = size - sum(self._steps(i) for i, _ in missing)
+            with suppress(UsageError):  # somebody has just finished it; or it is damaged, as whoever continues will say
+                stored = _read_unfinished(place / UNTIL_NOW, missing) if missing else None
             steps = len(stored["points"][0]) * self._runs[chunk[0][0]].steps_per_iteration if stored else 0
             return min(finished + steps * len(missing), size - bool(missing))
 
@@ -225,9 +234,8 @@ class Sweep:
                 write_json(self._place((row["config"], row["seed"])) / FINISHED, row)
             (place / UNTIL_NOW).unlink(missing_ok=True)
             pieces.prune(place)
-            if not is_worker():
-                report()
-            return True
+            report()
+            return not stop.signalled
 
         size = sum(self._steps(i) for i, _ in chunk)
         return Job(_name(chunk[0]), size, done, do)
@@ -297,8 +305,8 @@ class Sweep:
         return ranking
 
 
-def read_sweep(folder: Path) -> tuple[TrainConfig, dict[str, str], list[dict[str, Any]], dict[str, Any]]:
-    """What sweep.json says: the configuration, the search, what was drawn, and the stamp of its beginning."""
+def read_sweep(folder: Path) -> tuple[TrainConfig, dict[str, str], list[dict[str, Any]], int, dict[str, Any]]:
+    """What sweep.json says: the configuration, the search, what was drawn, how many side by side, and its stamp."""
     path = folder / "sweep.json"
     if not path.exists():
         raise UsageError(f"{folder} is not a sweep folder: it has no sweep.json.")
@@ -306,7 +314,7 @@ def read_sweep(folder: Path) -> tuple[TrainConfig, dict[str, str], list[dict[str
     if not stored["drawn"] or any(one.keys() != stored["search"].keys() for one in stored["drawn"]):
         raise UsageError(f"Cannot read {path}: what was drawn is not what was searched for.")
     config = stored_config(stored["config"], str(path))
-    return config, stored["search"], stored["drawn"], stored["config"]["stamp"]
+    return config, stored["search"], stored["drawn"], stored.get("side_by_side", 1), stored["config"]["stamp"]
 
 
 def _name(trial: Trial) -> str:
