@@ -60,8 +60,11 @@ def _met(run: Run, population: Population) -> list[bool]:
     habits = {name for agent, name in map(split_pair, run.config.partners) if agent == "human"}
     people = [partner.player] if partner is not None else [team["human"] for team in run.teams()]
     met = [actor for person in people for actor in _actors(person)]
-    trained = run.config if partner is None else partner.trained and stored_config(partner.trained, str(run.folder))
-    selves = selves_of(trained) if trained else set()
+    selves = set()
+    if partner is None:
+        selves = selves_of(run.config)
+    elif partner.trained is not None:
+        selves = selves_of(stored_config(partner.trained, f"the partner of {run.folder}"))
     return [
         row["habit"] in habits or any(_is_habit(row["habit"], person) for person in people)
         if "habit" in row

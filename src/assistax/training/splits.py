@@ -209,14 +209,10 @@ def _selves_together(population: Population, parts: Split) -> Split:
 
     As from two populations that were merged. Who has met one of them counts as having met the other.
     """
-    first = {}
-    for part, ids in parts.items():
-        for one in ids:
-            first.setdefault(self_of(_row(population, one)), part)
-    return {
-        part: [i for ids in parts.values() for i in ids if first[self_of(_row(population, i))] == part]
-        for part in parts
-    }
+    of = {one: part for part, ids in parts.items() for one in ids}
+    selves = {one: self_of(_row(population, one)) for one in of}
+    chosen = {selves[one]: of[one] for one in sorted(of, reverse=True)}  # the part of the first by id
+    return {part: [one for one in of if chosen[selves[one]] == part] for part in parts}
 
 
 def _shares(ids: list[str]) -> Split:
