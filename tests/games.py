@@ -97,6 +97,28 @@ class Weather(Game):
         return state["luck"] - error, {}
 
 
+class Moods(Game):
+    """The robot should play -0.5, but ten times what the human plays is added, which the robot does not see.
+
+    Why a critic that knows who plays helps: as in Weather, with people of two moods in place of luck.
+    """
+
+    observation_sizes, action_sizes, global_size = {"robot": 1, "human": 1}, {"robot": 1, "human": 1}, 1
+    ending = 1.0
+
+    def begin(self, key):
+        return {}
+
+    def see(self, state):
+        return {agent: jnp.ones(1) for agent in self.agents}
+
+    def global_obs(self, state):
+        return jnp.ones(1)
+
+    def play(self, key, state, actions):
+        return 10.0 * actions["human"][0] - jnp.square(actions["robot"][0] + 0.5), {}
+
+
 class Cue(Game):
     """A cue c in {-1, 0, 1} is shown at the first step of an episode only, and should be played ever after.
 

@@ -152,7 +152,7 @@ def test_robots_learn_beside_the_people_of_the_split(asked, tmp_path, monkeypatc
     splits.save(tmp_path / "taught.json", splits.split(Population.load("populations/scratch-v1"), "taught"))
     monkeypatch.setattr(splits, "path_of", lambda folder, kind: tmp_path / f"{kind}.json")
     chosen = [e for e in experiments() if e.name.startswith("teamwork/scratch-v1/runs/taught-")]
-    assert len(chosen) == 3 + 2 * 9 and len({e.name for e in chosen}) == len(chosen)
+    assert len(chosen) == 3 + 2 * 10 and len({e.name for e in chosen}) == len(chosen)
     for one in chosen:
         assert one.advance(tmp_path / "none", 1.0) is None
     by_method = dict(zip([one.method for one in chosen], asked, strict=True))
@@ -166,6 +166,7 @@ def test_robots_learn_beside_the_people_of_the_split(asked, tmp_path, monkeypatc
     assert by_method["randomised"].partners == ("human=offers",)
     assert by_method["randomised"].env.human.people == train.people
     assert by_method["gru"].method.recurrent and by_method["liam"].method.partner_code == 16
+    assert by_method["asymmetric"].method.critic_knows_partner
     assert by_method["oracle"].env.human.visibility == "oracle" and not by_method["untaught"].method.teachers
 
 

@@ -514,6 +514,11 @@ def test_sizes_that_do_not_divide_are_refused():
         PPO(Meeting(), PPOConfig(num_steps=6, num_minibatches=3, recurrent=True), num_envs=64, total_iterations=1)
 
 
+def test_a_critic_that_is_to_know_partners_needs_some():
+    with pytest.raises(UsageError, match="critic_knows_partner needs a partner of several"):
+        PPO(Meeting(), PPOConfig(critic_knows_partner=True), 64, 1)
+
+
 # -- the paper's tables -----------------------------------------------------------------------------
 
 

@@ -58,6 +58,7 @@ class Method:
 METHODS = {
     "best-response": Method(),
     "untaught": Method(settings=UNTAUGHT),
+    "asymmetric": Method(settings={"ppo.critic_knows_partner": True}),
     "fcp": Method("train+earlier"),
     "oracle": Method(settings={"env.human.visibility": "oracle"}),
     "hidden": Method(settings={"env.human.visibility": "human"}),
@@ -69,7 +70,8 @@ METHODS = {
     "e3t": Method("", {"env.human.random_share": 0.25}),
     "sac": Method(algorithm="isac"),
 }
-SEVERAL = ("best-response", "untaught", "fcp", "oracle", "gru", "gru-stays", "liam", "randomised", "self-play", "e3t")
+SEVERAL = ("best-response", "untaught", "asymmetric", "fcp", "oracle", "gru", "gru-stays", "liam", "randomised")
+SEVERAL += ("self-play", "e3t")
 
 
 class Experiment(Protocol):

@@ -53,12 +53,24 @@ class Partners:
         """
         actions, moved = {}, {}
         for i, (agent, player) in enumerate(self.players.items()):
-            index, carry = state[agent]["index"], state[agent]["carry"]
-            index = env_state.person.index if player.by_person else index
+            index, carry = self._index(agent, state, env_state), state[agent]["carry"]
             keys = jax.random.split(jax.random.fold_in(key, i), self.num_envs)
             actions[agent], carry = act_as_members(player, index, carry, obs[agent], env_state, reset, keys)
             moved[agent] = {"index": index, "carry": carry}
         return actions, moved
+
+    @property
+    def members(self) -> int:
+        """Of all players together."""
+        return sum(player.members for player in self.players.values())
+
+    def who(self, state, env_state) -> jax.Array:
+        """Which member of each player plays, one-hot [num_envs, members]; `state` and env_state as in `act`."""
+        plays = [jax.nn.one_hot(self._index(a, state, env_state), p.members) for a, p in self.players.items()]
+        return jnp.concatenate(plays, -1)
+
+    def _index(self, agent, state, env_state):
+        return env_state.person.index if self.players[agent].by_person else state[agent]["index"]
 
     def stay(self, env_state) -> jax.Array:
         """[num_envs] whether who plays was in the episode before as well; environments that know say so."""

@@ -18,6 +18,7 @@ class PPOConfig:
     """The defaults are where the paper is silent; presets and `--set ppo.NAME=VALUE` change them."""
 
     central_critic: bool = False  # critics see the global state (MAPPO) instead of the agent's own observation (IPPO)
+    critic_knows_partner: bool = False  # critics, which no policy sees, are told which member of a partner plays
     recurrent: bool = False  # in actors a GRU of hidden[0] units in place of the first layer
     partner_code: int = 0  # numbers in which a model of the partners (LIAM), a GRU, tells the actor of them; 0: none
     share_parameters: bool = False  # one actor and one critic for all learners, with who plays as an input

@@ -20,21 +20,25 @@ class TeamNetworks:
     """An actor, a critic and, if asked for, a cost critic and a model of the partners for each learner.
 
     Holds no parameters. What networks see goes by the name of a view: a learner's observation, "global" for central
-    critics, or what the others see, of which a model of the partners tells.
+    critics, "who" the partners are (one-hot of `members`) for critics that know them, or what the others see, of which
+    a model of the partners tells.
     """
 
-    def __init__(self, env, config: PPOConfig, learners: tuple[str, ...]):
+    def __init__(self, env, config: PPOConfig, learners: tuple[str, ...], members: int = 0):
         self.config, self.learners, self._actions = config, learners, env.action_sizes
         self.critics = ("critic", "cost_critic") if config.constrained else ("critic",)
         self.units = config.hidden[0] if config.remembers else 0  # of memory
         self.sizes = {agent: env.observation_sizes[agent] for agent in learners}  # by view
         if config.central_critic:
             self.sizes["global"] = env.global_size
+        if config.critic_knows_partner:
+            self.sizes["who"] = members
         self._others = {agent: [other for other in env.agents if other != agent] for agent in learners}
         if config.partner_code:
             for agent, others in self._others.items():
                 self.sizes[beside(agent)] = sum(env.observation_sizes[other] for other in others)
-        self._critic_sees = {agent: "global" if config.central_critic else agent for agent in learners}
+        who = ("who",) if config.critic_knows_partner else ()
+        self._critic_sees = {a: ("global" if config.central_critic else a, *who) for a in learners}
 
     def init(self, key: jax.Array, initial_log_std: float | jax.Array) -> dict[str, Any]:
         """By learner, or under "shared", its networks."""
@@ -59,12 +63,12 @@ class TeamNetworks:
         if c.share_parameters:  # see network_of
             count = len(self.learners)
             seen = max(sizes[agent] for agent in self.learners)
-            seen_by_critic = max(sizes[view] for view in self._critic_sees.values())
+            seen_by_critic = max(map(self._critic_size, self.learners))
             acts = max(actions[agent] for agent in self.learners)
             return {"shared": pair(key, seen + count, seen_by_critic + count, acts)}
         keys = zip(self.learners, jax.random.split(key, len(self.learners)), strict=True)
         told = {a: sizes.get(beside(a), 0) + sum(actions[other] for other in self._others[a]) for a in self.learners}
-        return {a: pair(k, sizes[a], sizes[self._critic_sees[a]], actions[a], told[a]) for a, k in keys}
+        return {a: pair(k, sizes[a], self._critic_size(a), actions[a], told[a]) for a, k in keys}
 
     def of(self, params) -> dict[str, Any]:
         """By learner its "actor", its "critic" and, if there are any, its "cost_critic" and its "partner_model"."""
@@ -76,13 +80,16 @@ class TeamNetworks:
             own = network_of(shared["actor"], i, count, self.sizes[agent], acts)
             networks[agent] = {"actor": own | {"log_std": shared["actor"]["log_std"][:acts]}}
             for name in self.critics:
-                seen = self.units + self.sizes[self._critic_sees[agent]]
+                seen = self.units + self._critic_size(agent)
                 networks[agent][name] = network_of(shared[name], i, count, seen, 1)
         return networks
 
-    def views(self, obs, global_obs):
+    def _critic_size(self, agent):
+        return sum(self.sizes[view] for view in self._critic_sees[agent])
+
+    def views(self, obs, global_obs, who=None):
         """All that networks see, by name, see above."""
-        everything = {agent: obs[agent] for agent in self.learners} | {"global": global_obs}
+        everything = {agent: obs[agent] for agent in self.learners} | {"global": global_obs, "who": who}
         if self.config.partner_code:
             everything |= {
                 beside(agent): jnp.concatenate([obs[a] for a in self._others[agent]], -1) for agent in self.learners
@@ -103,7 +110,8 @@ class TeamNetworks:
 
     def value(self, critic, agent, seen, memory):
         """The critic's value [...] of what is `seen` and of the actor's `memory` after it."""
-        x = seen[self._critic_sees[agent]]
+        parts = [seen[view] for view in self._critic_sees[agent]]
         if self.config.remembers:
-            x = jnp.concatenate([jax.lax.stop_gradient(memory), x], -1)
+            parts = [jax.lax.stop_gradient(memory), *parts]
+        x = jnp.concatenate(parts, -1) if len(parts) > 1 else parts[0]
         return mlp(critic["layers"], x, self.config.activation)[..., 0]

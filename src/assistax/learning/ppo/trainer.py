@@ -92,7 +92,9 @@ class PPO:
         self._adam = optax.adam(1.0, eps=1e-5)  # its steps are multiplied by the learning rate
         self._updates = total_iterations * config.update_epochs * config.num_minibatches
         self._last_iteration = total_iterations - 1
-        self.networks = TeamNetworks(env, config, self.learners)
+        if config.critic_knows_partner and self.partners.members < 2:
+            raise UsageError("ppo.critic_knows_partner needs a partner of several members; give one, human=POP.")
+        self.networks = TeamNetworks(env, config, self.learners, self.partners.members)
 
     def init(self, key: jax.Array, tuned: Mapping[str, jax.Array] | None = None) -> TrainState:
         """A fresh state; `tuned` are settings by name that it carries in place of the configuration's."""
@@ -173,14 +175,15 @@ class PPO:
                 )
                 memory[agent], noise[agent] = carry
             global_obs_before = global_obs(env_state)
+            who = self.partners.who(partner_state, env_state) if c.critic_knows_partner else None
             step_keys = jax.random.split(step_key, self.num_envs)
             next_obs, env_state, rewards, terminated, truncated, info = by_environment(env.step)(
                 step_keys, env_state, actions
             )
             done = terminated["__all__"] | truncated["__all__"]
-            final = self.networks.views(info["final_observation"], info.get("final_global_observation"))
+            final = self.networks.views(info["final_observation"], info.get("final_global_observation"), who)
             played = {
-                "obs": self.networks.views(obs, global_obs_before),
+                "obs": self.networks.views(obs, global_obs_before, who),
                 "final_obs": final,
                 "reset": forgets,
                 "actions": {agent: actions[agent] for agent in self.learners},
