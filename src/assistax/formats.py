@@ -76,6 +76,7 @@ PLAN: Schema = {  # of a population, see teamwork/plan.py
     "settings": {str: object},
     "taught?": [str],
 }
+BEST_RESPONSES: Schema = {"task": str, "steps": (STEPS, None), "settings": {str: object}}
 SPLIT: Schema = {"train": [str], "val": [str], "test": [str]}
 VALIDITY: Schema = {"ids": [str], "matrix": {"return": [[float]]}}  # and more, see teamwork/validity.py
 _PARTS: Schema = {"train": [{str: str}], "test": [{str: str}]}

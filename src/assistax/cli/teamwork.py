@@ -5,10 +5,11 @@ from typing import Annotated
 
 import tyro
 
-from assistax.cli.common import Count, File, Number, aligned
+from assistax.cli.common import Count, ExecutorSet, File, Name, Number, Set, aligned, find_executor
 from assistax.errors import UsageError, choose
 
 Robots = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[NAME=]RUN[,RUN] ...")]
+Partners = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="POP", help_behavior_hint="")]
 Methods = Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[NAME=]RUN[,RUN] ...")]
 
 
@@ -34,11 +35,13 @@ def evaluate(
       split: of the population, see `assistax population split`.
       part: test for tables, val while developing.
       episodes: with each partner.
-      best_responses: runs of robots that were trained with one of these partners: a score of 1 is the best of them and
-        of the robot that each partner was trained with; 0 the best of the still, the random and the scripted robot.
+      best_responses: runs of robots that were trained with one of these partners, or folders of them as of `teamwork
+        best-responses`: a score of 1 is the best of them and of the robot that each partner was trained with; 0 the
+        best of the still, the random and the scripted robot.
       out: a .json for all numbers, with a picture of the same name beside it.
     """
     from assistax.files import write_json
+    from assistax.teamwork.best_responses import ABOUT, runs_of
     from assistax.teamwork.report import picture, report, table
     from assistax.training import splits
     from assistax.training.run import Run
@@ -46,7 +49,8 @@ def evaluate(
     _check(out, part)
     named = _named(methods)
     populations = {one: splits.named(f"{population}:{split}/{one}")[1] for one in ("train", part)}
-    found = report(named, populations, episodes, best_responses={str(p): Run.open(p) for p in best_responses})
+    places = [one for p in best_responses for one in (runs_of(p) if (p / ABOUT).exists() else [p])]
+    found = report(named, populations, episodes, best_responses={str(p): Run.open(p) for p in places})
     for one in populations:
         print(f"{found['task']}, {len(populations[one])} partners to {one}, {episodes} episodes each, 95 % intervals")
         print(aligned(*table(found, one)), end="\n\n")
@@ -56,6 +60,61 @@ def evaluate(
     if out is not None:
         write_json(out, found)
         picture(found, out.with_suffix(".png"))
+
+
+def best_responses(
+    population: Partners = None,
+    *,
+    split: str = "random",
+    part: str = "test",
+    out: File = None,
+    steps: Number = None,
+    set: Set = (),
+    resume: File = None,
+    processes: Number = None,
+    executor: Name = None,
+    executor_set: ExecutorSet = (),
+) -> None:
+    """Train a robot with each of some partners alone: what a score of 1 is worth with them.
+
+    Can be stopped and continued at any moment; what is finished never runs again.
+
+    For example:
+      assistax teamwork best-responses populations/scratch --split taught --out runs/best --processes 2
+      assistax teamwork evaluate runs/br --population populations/scratch --split taught --best-responses runs/best
+
+    Args:
+      population: the partners.
+      split: of the population, see `assistax population split`.
+      part: test or val.
+      out: folder of the robots.
+      steps: of each training (default 5 million).
+      set: change any setting of all trainings, for example ppo.gamma=0.98.
+      resume: continue this folder.
+      processes: so many trainings side by side (default 1 in this process; of an executor as many as fit).
+      executor: local (default), slurm or ray; see docs/clusters.md.
+      executor_set: settings of the executor, as in `assistax population train`.
+    """
+    from assistax.files import writing
+    from assistax.settings import parse_assignments
+    from assistax.teamwork import best_responses as bulk
+    from assistax.training import splits
+
+    if (population is None) == (resume is None):
+        raise UsageError("Name a population and --out to begin, or --resume FOLDER to continue.")
+    _check(None, part)
+    using = find_executor(processes, executor, executor_set)  # asked before anything is written
+    folder = resume or out
+    if folder is None:
+        raise UsageError("Say where the robots go: --out runs/NAME.")
+    with writing(folder):
+        if population is not None:
+            bulk.begin(folder, splits.named(f"{population}:{split}/{part}")[1], steps, parse_assignments(set))
+        through = bulk.train(folder) if using is None else bulk.train_with(folder, using, processes)
+    if through:
+        print(f"{len(bulk.runs_of(folder))} robots in {folder}, for `assistax teamwork evaluate --best-responses`")
+    else:
+        print(f"Not all robots are finished yet. Continue with: assistax teamwork best-responses --resume {folder}")
 
 
 def adapt(
@@ -178,4 +237,4 @@ def _named(methods: tuple[str, ...]) -> dict:
     return named
 
 
-COMMANDS = {"adapt": adapt, "evaluate": evaluate, "validity": validity}
+COMMANDS = {"adapt": adapt, "best-responses": best_responses, "evaluate": evaluate, "validity": validity}

@@ -11,14 +11,15 @@ it is the same population, whoever trained what and when.
 
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from assistax.errors import UsageError, choose
 from assistax.executors.drive import Executor, drive
-from assistax.executors.jobs import Job, is_worker, work
+from assistax.executors.here import work_here
+from assistax.executors.jobs import Job, is_worker
 from assistax.files import read_json, write_json
 from assistax.formats import PLAN
 from assistax.human import Person
@@ -105,17 +106,17 @@ class Plan:
 
 def jobs(folder: Path, bar: Callable = progress_bar) -> list[Job]:
     """The trainings of the plan in `folder`."""
+    return [training(folder / "runs" / name, config, bar) for name, config in Plan.load(folder).jobs()]
 
-    def job(name: str, config: TrainConfig) -> Job:
-        place = folder / "runs" / name
 
-        def do() -> bool:
-            run = Run.open(place) if (place / "config.json").exists() else Run.create(config, place)
-            return loop.train(run, bar=bar, pictures=False) is not None
+def training(place: Path, config: TrainConfig, bar: Callable = progress_bar) -> Job:
+    """A training, without pictures, in a run folder of its own."""
 
-        return Job(name, config.steps, lambda: steps_done(place, config.steps), do)
+    def do() -> bool:
+        run = Run.open(place) if (place / "config.json").exists() else Run.create(config, place)
+        return loop.train(run, bar=bar, pictures=False) is not None
 
-    return [job(name, config) for name, config in Plan.load(folder).jobs()]
+    return Job(place.name, config.steps, lambda: steps_done(place, config.steps), do)
 
 
 def train(folder: Path, shard: tuple[int, int] = (1, 1)) -> Population | None:
@@ -124,17 +125,8 @@ def train(folder: Path, shard: tuple[int, int] = (1, 1)) -> Population | None:
     Returns the population if everybody in the plan is finished then; None if others are not, or a signal came, or if
     this is a worker of an executor, whose driver gathers the population.
     """
-    mine: list[Job] = []
-
-    def begin(job: Job) -> None:
-        shown.update(sum(one.done() for one in mine) - shown.n)
-        shown.set_description(f"member {mine.index(job) + 1} of {len(mine)}")
-
-    mine += jobs(folder, lambda *_: nullcontext(shown))[shard[0] - 1 :: shard[1]]
-    with progress_bar(sum(job.size for job in mine), sum(job.done() for job in mine)) as shown:
-        if not work(folder / WORKERS, mine, begin):
-            return None
-    return None if is_worker() else finish(folder)
+    through = work_here(folder / WORKERS, partial(jobs, folder), progress_bar, "member", shard)
+    return finish(folder) if through and not is_worker() else None
 
 
 def train_with(folder: Path, using: Executor, workers: int | None = None) -> Population | None:
