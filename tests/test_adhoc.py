@@ -14,12 +14,13 @@ from stored import stored_run
 
 import assistax
 from assistax.errors import UsageError
+from assistax.evaluation.playing import Evaluator
 from assistax.evaluation.statistics import crossed_ci, gap_ci
 from assistax.human import Person
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.policies import Player, scripted_policy
 from assistax.teamwork.adaptation import Series, about, probe, slope, summarize_series
-from assistax.teamwork.adhoc import Meeting, Scale, by_pair, gap, only, scales, summarize
+from assistax.teamwork.adhoc import Meeting, Scale, by_pair, draws, gap, only, scales, summarize
 from assistax.teamwork.report import picture, report
 from assistax.teamwork.strangers import knows
 from assistax.teamwork.validity import judge, with_robots
@@ -78,6 +79,20 @@ def test_the_order_of_partners_changes_nothing_and_twice_is_the_same(population)
         np.testing.assert_array_equal(first[name], again[name])
         np.testing.assert_array_equal(first[name], turned[name][::-1])
     assert len(np.unique(first["return"])) == 10
+
+
+def test_no_two_episodes_draw_the_same_and_a_partner_always_does(population):
+    """Or a mean over partners would be one over a few itches, whatever their number."""
+    drawn = draws(population, 16).reshape(5, 16)
+    assert len(np.unique(drawn)) == 80
+    np.testing.assert_array_equal(draws(population.select(population.ids[3:]), 16).reshape(2, 16), drawn[3:])
+
+
+def test_episodes_with_the_same_draws_are_the_same(population):
+    env = meeting(population).env
+    team = {"robot": Player(scripted_policy("expert", env, "robot")), "human": population.partner("human", env=env)}
+    found = Evaluator(env, 4)(team, people=[0, 0, 0, 1], draws=[7, 8, 7, 7])["metrics"]["return"]
+    assert found[0] == found[2] and len(np.unique(found)) == 3
 
 
 def test_a_reset_can_name_the_person(population):

@@ -37,14 +37,16 @@ class Evaluator:
         self._at_once = -(-episodes // turns)
         self._play = programs.jit(by_environment(self._one, whole=1))
 
-    def __call__(self, team: Team, seed: int = EVALUATION_SEED, people: Any = None) -> dict[str, Any]:
+    def __call__(
+        self, team: Team, seed: int = EVALUATION_SEED, people: Any = None, draws: Any = None
+    ) -> dict[str, Any]:
         """Play.
 
         Args:
           team: who.
           seed: of what episodes draw.
-          people: [episodes] rows of the environment's list of people, who it is in each episode: the first episode of
-            everybody has the same draws, as has the second, and so on. None draws people.
+          people: [episodes] rows of the environment's list of people, who it is in each episode. None draws people.
+          draws: [episodes] numbers below 2³² of what each episode draws; None has others for each.
 
         Returns:
           arrays by name, first axis the episode: "terms" (each reward term's sum over the episode),
@@ -58,7 +60,8 @@ class Evaluator:
         keys = jax.random.split(jax.random.key(seed), self.episodes)
         if people is not None:
             people = np.asarray(people, np.int32)
-            keys = keys[np.array([(people[:i] == person).sum() for i, person in enumerate(people)])]
+        if draws is not None:
+            keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), np.asarray(draws, np.uint32))
         force, parts = Distribution(), []
         first: Any = None
         for start in range(0, self.episodes, self._at_once):

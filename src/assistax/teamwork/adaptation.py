@@ -25,7 +25,7 @@ from assistax.physics import check_faults
 from assistax.policies import Player, Policy
 from assistax.settings import check_count
 from assistax.stamp import stamp
-from assistax.teamwork.adhoc import MEASURES, Scale
+from assistax.teamwork.adhoc import MEASURES, Scale, draws
 from assistax.teamwork.report import Meetings, meeting_env
 from assistax.teamwork.strangers import check_robots, check_strangers
 from assistax.training.population import Population
@@ -76,9 +76,7 @@ class Series:
         numbers if it has none.
         """
         robot = Player(Lasting(robot.policy), robot.params, robot.members)
-        keys = jax.vmap(jax.random.fold_in, (None, 0))(
-            jax.random.key(seed), jnp.arange(len(self._people)) % self.repeats
-        )
+        keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), draws(self.population, self.repeats))
         parts = []
         for start in range(0, len(keys), MOST_AT_ONCE):
             ids = np.minimum(np.arange(start, start + min(MOST_AT_ONCE, len(keys))), len(keys) - 1)

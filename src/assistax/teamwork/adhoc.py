@@ -45,11 +45,12 @@ class Meeting:
         self.env, self.population, self.episodes = env, population, episodes
         self.partner = population.partner("human", env=env)
         self._people = np.repeat(np.arange(len(population)), episodes)
+        self._draws = draws(population, episodes)
         self._evaluator = Evaluator(env, len(self._people))
 
     def __call__(self, robot: Player, seed: int = EVALUATION_SEED) -> dict[str, np.ndarray]:
-        """MEASURES by name, [partners, episodes]; the same draws for every robot."""
-        result = self._evaluator({"robot": robot, "human": self.partner}, seed, self._people)
+        """MEASURES by name, [partners, episodes]; the same draws for every robot, see `draws`."""
+        result = self._evaluator({"robot": robot, "human": self.partner}, seed, self._people, self._draws)
         found = result["metrics"]
         return {k: np.asarray(found[k], float).reshape(-1, self.episodes) for k in MEASURES if k in found}
 
@@ -70,6 +71,16 @@ class Meeting:
     def scripted(self, name: str, seed: int = EVALUATION_SEED) -> dict[str, np.ndarray]:
         """What the scripted robot of this name reaches."""
         return self(Player(scripted_policy(name, self.env, "robot")), seed)
+
+
+def draws(population: Population, episodes: int) -> np.ndarray:
+    """Numbers [partners * episodes] of what each episode draws: a partner's own, whoever else is there.
+
+    Where it itches decides more than who it is. If all partners had the same few itches, a mean over partners would be
+    one over these, and no interval over partners would tell.
+    """
+    own = np.array([int(one[:8], 16) for one in population.ids], np.uint32)
+    return (own[:, None] + np.arange(episodes, dtype=np.uint32)).ravel()
 
 
 def only(partners: np.ndarray, found: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
