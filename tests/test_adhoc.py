@@ -136,6 +136,9 @@ def test_intervals_of_rates_are_of_rates():
     found = summarize(by_pair(robots))
     assert found["success"]["ci"] == (0.0, 1.0)
     assert found["return"]["ci"][0] < 0.0 and found["return"]["ci"][1] > 1.0
+    known, strange = ({"success": np.array(x), "return": np.array(x)} for x in ([[1.0, 0.9, 0.4]], [[0.0, 0.6]]))
+    found = gap(known, strange)
+    assert found["success"]["ci"] == (max(-1.0, found["return"]["ci"][0]), 1.0) and found["return"]["ci"][1] > 1.0
 
 
 def test_the_worst_partner_has_least_of_what_helps_and_most_of_what_harms():

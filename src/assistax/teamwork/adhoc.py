@@ -154,11 +154,12 @@ def gap(known: Mapping[str, np.ndarray], strange: Mapping[str, np.ndarray]) -> d
 
     "mean", of the first less that of the second, and "ci", see gap_ci.
     """
-    return {
-        name: {"mean": float(x.mean() - strange[name].mean()), "ci": gap_ci(x, strange[name])}
-        for name, x in known.items()
-        if name in strange
-    }
+    found = {}
+    for name, x in known.items():
+        if name in strange:
+            interval, most = gap_ci(x, strange[name]), 1.0 if name in (*RATES, *HURT) else np.inf
+            found[name] = {"mean": float(x.mean() - strange[name].mean()), "ci": _bounded(interval, -most, most)}
+    return found
 
 
 def _gated(found: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -175,8 +176,8 @@ def _measure(name: str, x: np.ndarray) -> dict[str, Any]:
     by_partner, interval = x.mean(0), crossed_ci(x)
     number = max(1, round(WORST * len(by_partner)))
     worst = np.sort(by_partner)[-number:] if name in HARM else np.sort(by_partner)[:number]
-    if interval is not None and name in (*RATES, *HARM):  # Student's t knows no bounds
-        interval = max(interval[0], 0.0), min(interval[1], 1.0 if name in (*RATES, *HURT) else np.inf)
+    if name in (*RATES, *HARM):
+        interval = _bounded(interval, 0.0, 1.0 if name in (*RATES, *HURT) else np.inf)
     return {
         "mean": float(x.mean()),
         "ci": interval,
@@ -184,3 +185,8 @@ def _measure(name: str, x: np.ndarray) -> dict[str, Any]:
         "by_partner": [None if np.isnan(value) else round(float(value), 4) for value in everybody],
         "by_seed": [round(float(value), 4) for value in x.mean(1)],
     }
+
+
+def _bounded(interval: tuple[float, float] | None, low: float, high: float) -> tuple[float, float] | None:
+    """The part of an interval, or None, that can be: Student's t knows no bounds."""
+    return None if interval is None else (max(interval[0], low), min(interval[1], high))
