@@ -88,6 +88,23 @@ def test_no_two_episodes_draw_the_same_and_a_partner_always_does(population):
     np.testing.assert_array_equal(draws(population.select(population.ids[3:]), 16).reshape(2, 16), drawn[3:])
 
 
+def test_all_episodes_of_a_meeting_and_of_a_series_draw_differently(population, monkeypatch):
+    one, keys = meeting(population, 3), []
+    robot = Player(scripted_policy("still", one.env, "robot"))
+
+    def play(_, given, *rest):
+        keys.append(jax.random.key_data(given))
+        raise StopIteration
+
+    monkeypatch.setattr(one._evaluator, "_play", play)
+    series = Series(one.env, population, 2, 3)
+    monkeypatch.setattr(series, "_play", play)
+    for each in (one, series):
+        with pytest.raises(StopIteration):
+            each(robot)
+    assert [len(np.unique(np.asarray(drawn), axis=0)) for drawn in keys] == [15, 15]
+
+
 def test_episodes_with_the_same_draws_are_the_same(population):
     env = meeting(population).env
     team = {"robot": Player(scripted_policy("expert", env, "robot")), "human": population.partner("human", env=env)}

@@ -102,6 +102,9 @@ def best_responses(
 
     if (population is None) == (resume is None):
         raise UsageError("Name a population and --out to begin, or --resume FOLDER to continue.")
+    given = {"out": out, "steps": steps, "set": set or None}
+    if resume is not None and (extra := [name for name, value in given.items() if value is not None]):
+        raise UsageError(f"--resume takes everything from the folder; leave out --{extra[0]}.")
     _check(None, part)
     using = find_executor(processes, executor, executor_set)  # asked before anything is written
     folder = resume or out

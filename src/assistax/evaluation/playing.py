@@ -57,10 +57,10 @@ class Evaluator:
         check_seed("seed", seed)
         for player in team.values():
             player.check(self.env)
-        keys = jax.random.split(jax.random.key(seed), self.episodes)
-        if people is not None:
-            people = np.asarray(people, np.int32)
-        if draws is not None:
+        people = None if people is None else np.asarray(people, np.int32)
+        if draws is None:
+            keys = jax.random.split(jax.random.key(seed), self.episodes)
+        else:
             keys = jax.vmap(jax.random.fold_in, (None, 0))(jax.random.key(seed), np.asarray(draws, np.uint32))
         force, parts = Distribution(), []
         first: Any = None

@@ -56,19 +56,22 @@ def train_with(folder: Path, using: Executor, workers: int | None = None) -> boo
 
 def runs_of(folder: Path) -> list[Path]:
     """The finished robots' run folders; raises UsageError if there are none."""
-    if not (folder / ABOUT).exists():
-        raise UsageError(f"{folder} has no {ABOUT}; begin with `assistax teamwork best-responses POP --out {folder}`.")
+    _about(folder)
     found = sorted(path.parent for path in folder.glob("runs/*/summary.json"))
     if not found:
         raise UsageError(f"No robot of {folder} is finished; `assistax teamwork best-responses --resume {folder}`.")
     return found
 
 
-def _configs(folder: Path) -> dict[str, TrainConfig]:
-    """By the first letters of the partner's id, how its robot learns."""
+def _about(folder: Path) -> dict[str, Any]:
     if not (folder / ABOUT).exists():
         raise UsageError(f"{folder} has no {ABOUT}; begin with `assistax teamwork best-responses POP --out {folder}`.")
-    about = read_json(folder / ABOUT, BEST_RESPONSES)
+    return read_json(folder / ABOUT, BEST_RESPONSES)
+
+
+def _configs(folder: Path) -> dict[str, TrainConfig]:
+    """By the first letters of the partner's id, how its robot learns."""
+    about = _about(folder)
     settings = {k: tuple(v) if isinstance(v, list) else v for k, v in about["settings"].items()}
     places = sorted(place for place in (folder / "partners").iterdir() if is_population(str(place)))
     return {p.name: configure(about["task"], settings, partners=(f"human={p}",), steps=about["steps"]) for p in places}
