@@ -197,3 +197,26 @@ def test_washing_more_is_paid_more_than_stopping_and_hovering_where_it_pays_best
         earned.append(hovers + washing * len(washed) / len(dirty))
     assert earned[-1] == pytest.approx(env.spec.bound, rel=0.01)
     assert (np.array(earned[1:]) > MARGIN * np.array(earned[:-1])).all(), earned
+
+
+@pytest.mark.parametrize(("speed", "force", "steps"), [(0.1, 2.5, 10), (0.0, 2.5, 0), (0.0199, 2.5, 0), (0.1, 0.1, 0)])
+def test_preferences_of_a_bathed_person_are_met_only_while_dirt_goes(speed, force, steps):
+    """A pad that stays on the last dirty points, once they are washed or without washing them, pleases nobody."""
+    env = assistax.make("bed_bath-v1", engine="mujoco", human={"preference": "default"})
+    _, begun = env.reset(jax.random.key(0))
+    state, s = begun.task, dict(env.sensors(begun.physics))
+    last = int(np.flatnonzero(state.dirty)[-1])
+    alone = jnp.arange(len(state.dirty)) == last
+    state = dataclasses.replace(state, dirty=alone, visited=~alone)
+    s["tool_pos"] = s["tool_pos"] + env.task.to_points(s)[last]
+    part = ("upper_arm", "forearm")[env.task.segment[last]]
+    s |= {f"tool_force_{part}": jnp.array([0.0, 0.0, force]), f"tool_vel_{part}": jnp.array([speed, 0.0, 0.0])}
+    paid = []
+    for _ in range(30):
+        state = env.task.advance(s, state)
+        terms = preference.reward_terms(
+            preference.preference(), speed, force, force, jnp.zeros(7), 1.0, env.task.helping(s, state)
+        )
+        paid.append(sum(terms.values()))
+    assert (np.array(paid) > 0.0).sum() == steps
+    assert state.visited[last] == (steps > 0)

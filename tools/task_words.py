@@ -91,7 +91,7 @@ TASKS = {
             _people((0.3, 0.4), (0.72, 0.15)),
             (
                 ("tool point", ("site", "tool_tip"), (0.6, 0.92)),
-                ("target: nearest point\nstill to be washed", "target", (0.3, 0.1)),
+                ("target: the dirty point\nthat is best to reach", "target", (0.3, 0.1)),
                 ("washed", ("spot", "washed"), (0.85, 0.75)),
                 ("dirty", ("spot", "dirty"), (0.15, 0.85)),
             ),
@@ -101,7 +101,7 @@ TASKS = {
         "a flat pad; the tool point is its middle",
         {
             "reach": Term(
-                "mean over the dirty points of: 1 if washed, else exp(−(d + a)²/σ) · e · p", lambda c, steps: steps
+                "mean over the dirty points of: 1 if washed, else exp(−(d + a)²/σ) · (1 + e + p) / 3", lambda c, steps: steps
             ),
             "wipe": Term(
                 "{c.wipe_scale:g} · (52 / m) · points washed in this step", lambda c, steps: 52.0 * c.wipe_scale

@@ -66,7 +66,7 @@ class Task(Protocol):
         ...
 
     def helping(self, s: Sensors, state: TaskState) -> jax.Array:
-        """Whether the tool is where it helps, however fast and firmly it moves there."""
+        """Whether the robot helps: only then do preferences pay, so that it must not last without anything done."""
         ...
 
     def tool_speed(self, s: Sensors, state: TaskState) -> jax.Array:

@@ -228,19 +228,22 @@ class BedBath:
         return paid @ state.dirty / state.dirty.sum()
 
     def advance(self, s: Sensors, state: BedBathState) -> BedBathState:
+        washing = self._washing(s)
+        seconds = state.seconds + self.dt * washing
+        done = washing & (seconds > self.config.wash_seconds - self.dt / 2)
+        return BedBathState(state.dirty, state.visited | done, seconds, (done & ~state.visited).sum())
+
+    def _washing(self, s: Sensors) -> jax.Array:
+        """[52] at which points the pad presses and moves as it should."""
         c = self.config
         force, speed = (norm(jnp.stack([of(s, part) for part in SEGMENTS])) for of in (tool_force, tool_velocity))
         rubbing = (force > c.touch_force) & (force <= c.most_force) & (c.speed[0] <= speed) & (speed <= c.speed[1])
-        washing = rubbing[self.segment] & (norm(self.to_points(s)) < c.near)
-        seconds = state.seconds + self.dt * washing
-        done = washing & (seconds > c.wash_seconds - self.dt / 2)
-        return BedBathState(state.dirty, state.visited | done, seconds, (done & ~state.visited).sum())
+        return rubbing[self.segment] & (norm(self.to_points(s)) < c.near)
 
     def helping(self, s: Sensors, state: BedBathState):
-        """On a point not yet washed, touching the segment that it is on."""
-        force = norm(jnp.stack([tool_force(s, part) for part in SEGMENTS]))
-        touching = (force > self.config.touch_force)[self.segment]
-        return (touching & ~state.visited & (norm(self.to_points(s)) < self.config.near)).any()
+        """Washing a point that was dirty until this step: so for wash_seconds at each, and never by staying on one."""
+        unwashed = state.dirty & (state.seconds < self.config.wash_seconds + self.dt / 2)
+        return (self._washing(s) & unwashed).any()
 
     def tool_speed(self, s: Sensors, state: BedBathState):
         """Seen from the segment with the nearest point."""

@@ -176,8 +176,8 @@ def picture(found: Mapping[str, Any], path: Path) -> None:
                 error = [[one["mean"] - low], [high - one["mean"]]]
                 axes.errorbar(x, one["mean"], error, fmt="o", color=f"C{k}", capsize=3, label=part if i == 0 else None)
         axes.set_xticks(range(len(names)), names)
-        axes.set_ylabel(f"{measure.replace('_', ' ')} (95 % interval over seeds and partners)")
-        axes.set_title(found["task"])
+        axes.set_ylabel(measure.replace("_", " "))
+        axes.set_title(f"{found['task']}, 95 % intervals over seeds and partners")
         axes.legend(title="partners")
         figure.savefig(path, dpi=150)
 
