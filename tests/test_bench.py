@@ -7,6 +7,7 @@ import mujoco
 import pytest
 
 import assistax
+from assistax import stamp
 from assistax.cli.bench import bench
 from assistax.diagnostics import measurements
 from assistax.diagnostics.bench import bench_training
@@ -112,6 +113,8 @@ def test_what_was_asked_for_is_shown_whatever_the_file_holds_beside_it(tmp_path,
         ({"task": "fencing"}, "fencing"),
         ({"task": "feeding", "engine": "steam"}, "engine"),
         ({"task": "feeding", "num_envs": (0,)}, "num_envs must be 1 or more"),
+        ({"task": "feeding", "num_envs": (10**9,)}, "1,000,000,000 environments would take .* GB of memory"),
+        ({"task": "feeding", "num_envs": (10**8,), "train": True}, "would take .* GB of memory"),
         ({"task": "feeding", "train": True, "preset": "best"}, "preset"),
         ({"task": "feeding", "train": True, "profile": True}, "--profile is of one task at one size"),
         ({"task": "feeding", "num_envs": (1, 2), "profile": True}, "--profile is of one task at one size"),
@@ -136,6 +139,19 @@ def test_training_is_timed_with_its_seeds():
     seconds = report["collect_s"] + report["update_s"]
     assert report["training_steps_per_s"] == pytest.approx(2 * 4 * 64 / seconds, rel=0.5)
     assert report["rollout_steps_per_s"] > report["training_steps_per_s"]
+
+
+def test_memory_is_the_accelerators_where_there_is_one(monkeypatch):
+    assert 50 < stamp.peak_memory_mb() < 50_000  # of this process
+
+    class Accelerator:
+        platform = "gpu"
+
+        def memory_stats(self):
+            return {"peak_bytes_in_use": 3 * 2**20}
+
+    monkeypatch.setattr(measurements.jax, "devices", lambda: [Accelerator()])
+    assert stamp.peak_memory_mb() == 3
 
 
 def test_a_profile_adds_up_to_the_step(capsys):

@@ -49,14 +49,19 @@ def two_nodes():
     cluster.shutdown()
 
 
+def test_no_ray_at_an_address_is_a_line():
+    pytest.importorskip("ray")
+    with pytest.raises(UsageError, match=r"Ray cannot be reached at 127\.0\.0\.1:1: ") as error:
+        Ray(address="127.0.0.1:1").room(None, 8)
+    assert "\n" not in str(error.value)
+
+
 def test_ray_loses_a_node(toys, two_nodes, monkeypatch):
     folder, _, _ = toys
     cluster, second, about = two_nodes
     using = Ray(address=cluster.address)
-    for wrong, said in (({"cores": 2}, "cores must be 1 to 1"), ({"address": "127.0.0.1:1"}, None)):
-        if said:
-            with pytest.raises(UsageError, match=said):
-                Ray(**{"address": cluster.address} | wrong).room(None, 8)
+    with pytest.raises(UsageError, match="cores must be 1 to 1"):
+        Ray(address=cluster.address, cores=2).room(None, 8)
     with pytest.raises(UsageError, match="--processes must be 1 to 2, the cores of the cluster, not 3"):
         using.room(3, 8)
 

@@ -14,6 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
+import submitit  # noqa: F401, as its logger keeps what is stderr when it is imported, which a test must not own
 from commands import assistax
 from pages import DOCS
 from toy_jobs import LENGTH, jobs_of, steps_of
@@ -245,7 +246,11 @@ def test_a_full_disk_ends_in_a_line(tmp_path, monkeypatch):
         (("--processes", "0"), "the cores of this machine, not 0."),
         (("--processes", "2", "--shard", "1/2"), "Processes share the work among themselves; leave out --shard."),
         (("--executor", "slurm"), "Slurm is not on this machine: there is no command sinfo."),
-        (("--executor", "slurm", "--executor-set", "hours=0"), "cores must be 1 or more and hours 0.07 or more."),
+        (("--executor", "slurm", "--executor-set", "hours=0"), "cores must be 1 or more and hours 0.07 to 8760."),
+        (("--executor", "slurm", "--executor-set", "memory_gb=-3"), "memory_gb must be 0 (as the partition says) or"),
+        (("--executor", "slurm", "--executor-set", "options=qos"), "options takes NAME=VALUE,NAME=VALUE, for example"),
+        (("--executor", "slurm", "--executor-set", "options=signal=9"), "options cannot have signal, which tells"),
+        (("--executor", ""), "Unknown executor ''. Known: local, slurm, ray."),
         (("--executor", "ray"), 'The executor ray needs an extra: pip install "assistax[ray]".'),
     ],
 )
@@ -266,6 +271,13 @@ def test_slurm_knows_its_partitions(monkeypatch):
         Slurm("mian").room(None, 1)
     with pytest.raises(UsageError, match="cores must be 1 to 2, those of a node, not 3"):
         Slurm("main", cores=3).room(None, 1)
+    assert Slurm("main,big", cores=64).room(None, 3) == 3
+
+
+def test_submitit_on_this_machine_has_no_more_workers_than_cores_unless_told():
+    assert Slurm(cluster="local").room(None, 10**6) == os.cpu_count()
+    assert Slurm(cluster="local", cores=10**6).room(None, 8) == 1
+    assert Slurm(cluster="local").room(3, 8) == 3
 
 
 def test_the_commands_of_the_page_are_commands(tmp_path, monkeypatch):

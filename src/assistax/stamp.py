@@ -97,6 +97,10 @@ def memory_gb() -> float:
 
 
 def peak_memory_mb() -> float:
-    """The largest resident size of this process so far, in MiB."""
+    """The most memory so far, in MiB: of the accelerator's that JAX has used, on a CPU this process's resident size."""
+    import jax
+
+    if "peak_bytes_in_use" in (stats := jax.devices()[0].memory_stats() or {}):
+        return stats["peak_bytes_in_use"] / 2**20
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / (2**20 if sys.platform == "darwin" else 2**10)

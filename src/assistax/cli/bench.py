@@ -18,7 +18,7 @@ def bench(
     all: Switch = False,
     engine: str = "auto",
     num_envs: Annotated[tuple[Count, ...], arg(metavar="N ...", help_behavior_hint="")] = (),
-    seconds: float = 10.0,
+    seconds: float | None = None,
     train: Switch = False,
     profile: Switch = False,
     preset: str = "default",
@@ -40,7 +40,7 @@ def bench(
       engine: auto, mujoco, warp or mjx.
       num_envs: environments side by side, one or more numbers. Without it 1024; with --all several, and in training
         those of the preset.
-      seconds: how long to measure each, after compilation.
+      seconds: how long to measure each, after compilation (default 10, on an accelerator 2, where a round is short).
       train: also time IPPO training.
       profile: instead of rates, the microseconds of each stage of a physics step and of each part of a control step;
         of one task, engine mujoco.
@@ -50,11 +50,12 @@ def bench(
       json: print JSON.
     """
     from assistax.diagnostics.bench import check_seconds
-    from assistax.diagnostics.measurements import check_out, measure, newest_tasks, plan
+    from assistax.diagnostics.measurements import check_out, default_seconds, measure, newest_tasks, plan
     from assistax.tasks import task_spec
 
     if (task is None) != all:
         raise UsageError("Name a task, or all of them with --all, not both.")
+    seconds = default_seconds() if seconds is None else seconds
     check_seconds(seconds)
     limit = math.inf if budget is None else duration(budget)
     check_out(out)

@@ -107,7 +107,7 @@ def find_executor(processes: int | None, executor: str | None, assignments: tupl
 
     if executor is None and not assignments and processes in (None, 1):
         return None
-    using = find(executor or "local", parse_assignments(assignments, "--executor-set"))
+    using = find("local" if executor is None else executor, parse_assignments(assignments, "--executor-set"))
     using.room(processes, processes or 1)
     return using
 

@@ -15,6 +15,7 @@ from assistax.errors import UsageError
 from assistax.physics import check_faults
 from assistax.settings import check_count
 from assistax.stamp import peak_memory_mb, stamp
+from assistax.training.memory import check_environments, check_memory
 
 
 def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
@@ -28,6 +29,7 @@ def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
     """
     check_count("num_envs", num_envs)
     check_seconds(seconds)
+    check_environments(env, num_envs)
     keys = jax.random.split(jax.random.key(0), num_envs)
     began = time.perf_counter()
     _, state = jax.block_until_ready(jax.jit(jax.vmap(env.reset))(keys))
@@ -169,6 +171,7 @@ def bench_training(
     config = configure(task, {}, engine=engine, preset=preset, num_envs=num_envs, num_seeds=num_seeds)
     env = Env(config.task, config.engine, config.env, config.task_config)
     trainer, seeds = config.trainer(env, {}), Seeds(config.seeds)
+    check_memory(trainer, num_seeds)
     collect, improve = seeds.jit(trainer.collect), seeds.jit(trainer.improve)
     began = time.perf_counter()
     state, _ = jax.block_until_ready(improve(*collect(seeds.init(trainer.init))))

@@ -68,6 +68,11 @@ def newest_tasks() -> list[str]:
     return list(dict.fromkeys(task_spec(name.partition("-v")[0]).id for name in TASKS))
 
 
+def default_seconds() -> float:
+    """How long to measure each: on an accelerator, where compilation takes longer than the rounds, that all may fit."""
+    return 10.0 if jax.default_backend() == "cpu" else 2.0
+
+
 def check_out(path: Path | None) -> None:
     """Raise UsageError unless measurements can be written there."""
     if path is not None and path.suffix != ".json":

@@ -15,6 +15,8 @@ from assistax.executors.local import launch
 
 MANY = 32  # workers, where nobody says how many
 GRACE = 120  # s in which a worker saves before its time is over
+HOURS = 2 * GRACE / 3600, 24.0 * 365  # the least and the most that a worker may have
+OURS = ("signal",)  # options of sbatch that this executor needs itself
 
 
 class Worker:
@@ -60,29 +62,38 @@ class Slurm:
             raise UsageError('The executor slurm needs an extra: pip install "assistax[slurm]".') from None
         self._stopping = False
         self._submitter, self._refused = AutoExecutor, FailedJobError
-        if self.cores < 1 or self.hours * 3600 < 2 * GRACE:
-            raise UsageError(f"cores must be 1 or more and hours {2 * GRACE / 3600:.2f} or more.")
+        if self.cores < 1 or not HOURS[0] <= self.hours <= HOURS[1]:
+            raise UsageError(f"cores must be 1 or more and hours {HOURS[0]:.2f} to {HOURS[1]:.0f}.")
+        if self.memory_gb < 0:
+            raise UsageError(f"memory_gb must be 0 (as the partition says) or more, not {self.memory_gb:g}.")
+        if wrong := [pair for pair in self.options.split(",") if pair and not all(pair.partition("=")[::2])]:
+            raise UsageError(f"options takes NAME=VALUE,NAME=VALUE, for example qos=high, not {wrong[0]!r}.")
+        if taken := [name for name in self._more() if name in OURS]:
+            raise UsageError(f"options cannot have {taken[0]}, which tells workers to save in time.")
         if workers is not None and workers < 1:
             raise UsageError(f"--processes must be 1 or more, not {workers}.")
         if choose("cluster", self.cluster, ("slurm", "local")) == "slurm":
             known = _ask("sinfo", "--noheader", "--format=%R %c").split("\n")
             sizes = {line.split()[0]: int(line.split()[1].rstrip("+")) for line in known if line.strip()}
-            if self.partition:
-                choose("partition", self.partition, sizes)
-            most = sizes[self.partition] if self.partition else max(sizes.values(), default=0)
+            named = [choose("partition", name, sizes) for name in self.partition.split(",") if name]
+            most = max((sizes[name] for name in named or sizes), default=0)
             if self.cores > most:
                 raise UsageError(f"cores must be 1 to {most}, those of a node, not {self.cores}.")
-        return min(jobs, workers or MANY)
+            return min(jobs, workers or MANY)
+        return min(jobs, workers or max(1, (os.cpu_count() or 1) // self.cores))
+
+    def _more(self) -> dict[str, str]:
+        return dict(pair.partition("=")[::2] for pair in self.options.split(",") if pair)
 
     def start(self, command: Sequence[str], logs: Sequence[Path]) -> list[Any]:
         submitter = self._submitter(logs[0].parent / "slurm", self.cluster, slurm_max_num_timeout=10**6)
         submitter.update_parameters(name="assistax", timeout_min=max(1, round(self.hours * 60)))
-        more = dict(pair.partition("=")[::2] for pair in self.options.split(",") if pair)
-        of_slurm = {"partition": self.partition, "mem": f"{self.memory_gb:g}G" if self.memory_gb else ""}
+        memory = f"{max(1, round(1024 * self.memory_gb))}M" if self.memory_gb else ""
+        of_slurm = {"partition": self.partition, "mem": memory}
         submitter.update_parameters(
             cpus_per_task=self.cores,
             slurm_signal_delay_s=GRACE,
-            slurm_additional_parameters=more,
+            slurm_additional_parameters=self._more(),
             **{f"slurm_{name}": value for name, value in of_slurm.items() if value},
         )
         try:
