@@ -20,6 +20,36 @@ from assistax.tasks.base import DONE, NOTHING_TO_DO, TO_DO
 SIZE = {"width": 160, "height": 120}
 METRICS = {"success": 0.0, "peak_force": 0.0, "seconds_over_force_limit": 0.0}
 
+# By task a moment at which a trained team works: angles of the person's and the robot's joints in rad, target in m, and
+# how many pixels of the tool's end are to be seen then.
+WORK = {
+    "scratch": (
+        (0.63, 0.0, 0.2, 0.63, -0.36, -0.08, -0.45, 0.46, -0.5, -0.05, -0.54, 0.16, -1.76, -0.54, 2.81, 0.56),
+        (0.218, -0.122, 0.94),
+        18,
+    ),
+    "bed_bath": (
+        (0.19, 0.0, 0.02, 0.31, -0.83, -1.14, -0.66, 0.76, -1.41, 0.05, -0.4, -0.21, -2.12, -0.51, 1.97, 0.61),
+        (-0.002, -0.437, 0.834),
+        60,
+    ),
+    "arm_assist": (
+        (0.19, 0.0, 0.02, 0.75, -0.73, -1.41, -0.66, 0.76, -1.41, -2.9, -0.96, 2.07, -0.07, 1.06, 0.63, 1.25),
+        (-0.056, -0.245, 0.705),
+        120,
+    ),
+    "feeding": (
+        (0.63, -0.52, 0.25, 0.45, -0.46, -0.5, -0.45, 0.46, -0.5, 1.15, -0.35, -1.09, -1.93, -0.66, 3.37, 0.73),
+        (0.033, -0.09, 1.088),
+        40,
+    ),
+    "tooth_brushing": (
+        (0.63, 0.01, 0.26, 0.45, -0.46, -0.5, -0.45, 0.46, -0.5, 0.01, -0.1, 0.08, -1.61, -1.47, 2.68, 0.71),
+        (0.0, -0.081, 1.09),
+        18,
+    ),
+}
+
 
 def camera(task, **settings):
     try:
@@ -118,6 +148,35 @@ def test_the_film_is_taken_from_where_the_itch_is_seen():
                 found.append(hidden(cam.model, cam.data, cam.eye, filmed.marker)[0] < 0)
         assert np.mean(seen) > np.mean(from_close)
         assert np.mean(seen) >= 0.8  # the rest lies between arm and armrest, or in the armpit
+
+
+@pytest.mark.parametrize("task", WORK)
+def test_the_film_is_taken_from_where_the_work_is_seen(task):
+    """The tool's end and the target; of a toothbrush its head, as the bristles are at the teeth."""
+    qpos, marker, enough = WORK[task]
+    with camera(task) as cam:
+        model, data = cam.model, cam.data
+        filmed = Filmed(f"{task}-v1", 0.008, np.array([qpos]), np.array([marker]))
+        cam.view = viewpoint(cam, filmed, Spots(cam, filmed))
+        one = cam.picture(filmed.qpos[0], filmed.marker[0])
+        near = np.linalg.norm(data.geom_xpos - data.site("tool_tip").xpos, axis=1) < 0.02
+        end = model.geom_bodyid == model.body("tool").id
+        end |= near & (model.geom_bodyid == model.body("tool_mount").id)
+        model.geom_matid[end], model.geom_rgba[end] = -1, (1.0, 0.0, 1.0, 1.0)
+        above, _ = changed(one, cam.render())
+        assert above.sum() >= enough
+        if task != "arm_assist":  # there it is the middle of the forearm
+            assert hidden(model, data, cam.eye, filmed.marker)[0] < 0
+
+
+def test_shadows_have_smooth_edges():
+    with camera("feeding") as cam:
+        cam.pose(cam.model.key("start").qpos, np.zeros(3))
+        shadows = cam.render().astype(int)
+        cam.model.light_castshadow[:] = False
+        darker = (cam.render() - shadows).sum(-1)[90:, 112:150]  # on the floor beside the wheel chair
+        assert (darker > 0.8 * darker.max()).mean() > 0.1
+        assert ((darker > 0.2 * darker.max()) & (darker < 0.8 * darker.max())).mean() > 0.02
 
 
 def test_a_target_in_the_air_has_no_skin():

@@ -101,7 +101,8 @@ TASKS = {
         "a flat pad; the tool point is its middle",
         {
             "reach": Term(
-                "mean over the dirty points of: 1 if washed, else exp(−(d + a)²/σ) · (1 + e + p) / 3", lambda c, steps: steps
+                "mean over the dirty points of: 1 if washed, else exp(−(d + a)²/σ) · (1 + e + p) / 3",
+                lambda c, steps: steps,
             ),
             "wipe": Term(
                 "{c.wipe_scale:g} · (52 / m) · points washed in this step", lambda c, steps: 52.0 * c.wipe_scale
@@ -135,10 +136,10 @@ TASKS = {
             "seconds_at_waist",
             _people((0.9, 0.25), (0.12, 0.25)),
             (
-                ("tool point", ("site", "tool_tip"), (0.75, 0.1)),
-                ("hook", ("body", "tool"), (0.8, 0.3)),
-                ("target: middle of the forearm\n(wrist target)", "target", (0.35, 0.92)),
-                ("waist target", ("site", "waist_target"), (0.25, 0.15)),
+                ("tool point", ("site", "tool_tip"), (0.2, 0.72)),
+                ("hook", ("body", "tool"), (0.15, 0.4)),
+                ("target: middle of the forearm\n(wrist target)", "target", (0.62, 0.08)),
+                ("waist target", ("site", "waist_target"), (0.75, 0.8)),
             ),
             distance=1.1,
             share=0.0,

@@ -11,10 +11,11 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from PIL import Image
 
 from assistax.errors import UsageError
 from assistax.evaluation.filmed import Filmed
-from assistax.evaluation.overlay import Overlay
+from assistax.evaluation.overlay import FINER, Overlay
 from assistax.evaluation.sight import Spots, viewpoint
 from assistax.evaluation.stage import THICK, Disc, Stage, lying_on
 from assistax.files import write_atomically, writing
@@ -31,12 +32,13 @@ class Camera(Stage):
             if not 16 <= pixels <= 8192:
                 raise UsageError(f"The {name} of a picture must be from 16 to 8192 pixels, not {pixels}.")
         super().__init__(task)
-        self.model.vis.global_.offwidth, self.model.vis.global_.offheight = width, height
+        fine = FINER * width, FINER * height
+        self.model.vis.global_.offwidth, self.model.vis.global_.offheight = fine
         self.view: str | mujoco.MjvCamera = view
         self.width, self.height = width, height
         _headless()
         try:
-            self._renderer = mujoco.Renderer(self.model, height, width)
+            self._renderer = mujoco.Renderer(self.model, fine[1], fine[0])
         except Exception as error:  # every OpenGL backend fails with an error of its own
             raise UsageError(
                 f"Cannot render here ({str(error).splitlines()[0]}). Install EGL "
@@ -70,7 +72,7 @@ class Camera(Stage):
             size = np.array([radius, radius, THICK])
             mujoco.mjv_initGeom(scene.geoms[scene.ngeom], ELLIPSOID, size, place, turn, np.array(colour, np.float32))
             scene.ngeom += 1
-        return self._renderer.render()
+        return np.asarray(Image.fromarray(self._renderer.render()).reduce(FINER))
 
     @property
     def eye(self) -> np.ndarray:
@@ -120,7 +122,7 @@ def film(filmed: Filmed, path: Path, plain: bool = False, view: str = "auto", **
         frames = [picture(i) for i in np.minimum(np.round(shown).astype(int), steps - 1)]
     if path.suffix in (".webp", ".gif"):
         style: dict[str, Any] = {"duration": 1000 / rate, "loop": 0}
-        style |= {"quality": 60, "method": 4} if path.suffix == ".webp" else {}
+        style |= {"quality": 42, "method": 4} if path.suffix == ".webp" else {}
         write_atomically(path, iio.imwrite("<bytes>", frames, extension=path.suffix, **style))
         return
     # ffmpeg wants a file to go back and forth in, and does not always say that a disk is full.

@@ -30,7 +30,7 @@ IN_WORDS = {"scratch": "scratched", "visited": "washed", "mouth": "at the mouth"
 FONT = Path(matplotlib.get_data_path()) / "fonts/ttf/DejaVuSans.ttf"
 GAP = "   "
 ROOM = 0.97  # of the width, for words
-FINER = 2  # times as fine as the picture is what is drawn over it, for smooth edges
+FINER = 2  # times as fine as the picture is what is rendered, and drawn over it, for smooth edges
 
 Line = list[tuple[str, tuple[int, int, int]]]
 """Words with their colours."""

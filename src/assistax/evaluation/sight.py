@@ -4,6 +4,7 @@ import mujoco
 import numpy as np
 
 from assistax.evaluation.filmed import Filmed
+from assistax.evaluation.stage import lying_on
 from assistax.scenes import TOUCHED
 from assistax.tasks.base import TO_DO
 
@@ -13,6 +14,10 @@ CLOTHES = 0.05  # m, above the skin, at most
 NEAR = 0.03  # m, before a point: what is there does not hide it
 AZIMUTHS, ELEVATIONS = np.radians(np.arange(0, 360, 15)), np.radians([12, 25, 40])
 LOOKS = 10  # moments of an episode at which it is asked what can be seen
+TOOL = 0.04  # m, around the tool's tip: this end of the tool does the help
+SPACING = 0.0075  # m, between the rays that look for it
+WORK = 1.0  # what seeing the tool's end is worth
+ENOUGH = 0.5  # of the most that is seen of it from any place: more is worth no more
 USUAL = 0.4  # what nearness to the scene's own view "close" is worth, where seeing the target is worth 1
 CLOSEST = 0.8  # m
 CAPTION = 0.05  # of the distance: so much lower looks the camera than at what it shows
@@ -36,14 +41,36 @@ def out_of_skin(model: mujoco.MjModel, data: mujoco.MjData, point: np.ndarray) -
     return found
 
 
-def hidden(model: mujoco.MjModel, data: mujoco.MjData, eye: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Which body [n] stands between the eye [3] and each of the points [n, 3]; -1 where none does."""
+def hidden(model: mujoco.MjModel, data: mujoco.MjData, eye: np.ndarray, points: np.ndarray, near=NEAR) -> np.ndarray:
+    """Which body [n] stands between the eye [3] and each of the points [n, 3]; -1 where none does.
+
+    What is nearer to a point than near, m or [n] m, does not hide it.
+    """
+    bodies, hits = _first(model, data, eye, points)
+    return np.where((hits >= 0) & (hits < np.linalg.norm(points - eye, axis=1) - near), bodies, -1)
+
+
+def tool_seen(model: mujoco.MjModel, data: mujoco.MjData, eye: np.ndarray) -> float:
+    """How large the tool's end is in a picture from the eye [3], in cm² at the tool's distance."""
+    tip = data.site("tool_tip").xpos
+    steps = np.arange(-TOOL, TOOL, SPACING)
+    across = np.stack(np.meshgrid(steps, steps), -1).reshape(-1, 2)
+    points = tip + across @ lying_on((tip - eye) / np.linalg.norm(tip - eye))[:, :2].T
+    bodies, hits = _first(model, data, eye, points)
     ways = points - eye
-    distances = np.linalg.norm(ways, axis=1)
-    rays = np.ascontiguousarray(ways / distances[:, None]).ravel()
+    places = eye + ways * (hits / np.linalg.norm(ways, axis=1))[:, None]
+    tools = [model.body(name).id for name in ("tool", "tool_mount")]
+    near = np.linalg.norm(places - tip, axis=1) < TOOL
+    return 1e4 * SPACING**2 * float((near & np.isin(bodies, tools)).sum())
+
+
+def _first(model, data, eye, points):
+    """The bodies [n] that are seen from the eye towards the points, and how far [n] m they are; -1 for none."""
+    ways = points - eye
+    rays = (ways / np.linalg.norm(ways, axis=1)[:, None]).ravel()
     hits, geoms = np.empty(len(points)), np.empty(len(points), np.int32)
     mujoco.mj_multiRay(model, data, eye, rays, SHOWN, True, -1, geoms, hits, None, len(points), 10.0)
-    return np.where((hits >= 0) & (hits < distances - NEAR), model.geom_bodyid[geoms], -1)
+    return np.where(hits >= 0, model.geom_bodyid[geoms], -1), hits
 
 
 class Spots:
@@ -83,7 +110,7 @@ def _on_top(model, data, body, point, normal):
 
 
 def viewpoint(camera, filmed: Filmed, spots: Spots) -> mujoco.MjvCamera:
-    """A place that stays for the whole film, from which target, tool and spots are seen most of the time.
+    """A place that stays for the whole film, from which target, the tool's end and spots are seen most of the time.
 
     Among places from which as much is seen it is one near the view "close" of the scene.
     """
@@ -93,7 +120,7 @@ def viewpoint(camera, filmed: Filmed, spots: Spots) -> mujoco.MjvCamera:
         camera.pose(filmed.qpos[i], filmed.marker[i])
         places, normals = spots.at(data)
         todo = filmed.spot_states[0] == TO_DO if filmed.spots else np.zeros(0, bool)
-        sites = [data.site(name).xpos for name in ("tool_tip", *camera.targets)]
+        sites = [data.site(name).xpos for name in camera.targets]
         points = np.array([filmed.marker[i], *sites, *places[todo]])
         normal = out_of_skin(model, data, points[0])
         outward = np.zeros_like(points)
@@ -101,21 +128,27 @@ def viewpoint(camera, filmed: Filmed, spots: Spots) -> mujoco.MjvCamera:
         outward[1 + len(sites) :] = normals[todo]
         weights = np.array([1.0] + [0.5] * len(sites) + [3.0 / max(todo.sum(), 1)] * todo.sum())
         looks.append((filmed.qpos[i], filmed.marker[i], points, outward, weights / LOOKS))
-        tools.append(points[1])
+        tools.append(data.site("tool_tip").xpos.copy())
+    # A target around a limb is seen where its middle is not.
+    near = np.full(len(points), NEAR)
+    near[1 : 1 + len(sites)] = [max(NEAR, model.site(name).size[0]) for name in camera.targets]
     # What is worked on is in the picture all the time, and of the tool's way the end.
-    worked_on = np.concatenate([np.delete(points, 1, 0) for _, _, points, _, _ in looks])
+    worked_on = np.concatenate([points for _, _, points, _, _ in looks])
     centre = 0.75 * worked_on.mean(0) + 0.25 * np.mean(tools, 0)
     distance = CLOSEST + np.linalg.norm(worked_on - centre, axis=1).max()
     azimuths, elevations = (x.ravel() for x in np.meshgrid(AZIMUTHS, ELEVATIONS))
     level = np.cos(elevations)
     back = np.stack([level * np.cos(azimuths), level * np.sin(azimuths), np.sin(elevations)], 1)  # towards the eye
+    eyes = centre + distance * back
     usual = model.camera("close").pos - centre
     score = USUAL * back @ (usual / np.linalg.norm(usual))
     for qpos, marker, points, outward, weights in looks:
         camera.pose(qpos, marker)
         facing = np.where(outward.any(1), 0.5 + 0.5 * back @ outward.T, 1.0)
-        for k, eye in enumerate(centre + distance * back):
-            score[k] += (weights * facing[k])[hidden(model, data, eye, points) < 0].sum()
+        for k, eye in enumerate(eyes):
+            score[k] += (weights * facing[k])[hidden(model, data, eye, points, near) < 0].sum()
+        tool = np.array([tool_seen(model, data, eye) for eye in eyes])
+        score += WORK / LOOKS * np.minimum(tool / max(ENOUGH * tool.max(), 1.0), 1.0)
     best = int(score.argmax())
     view = mujoco.MjvCamera()
     view.lookat[:], view.distance = centre - [0.0, 0.0, CAPTION * distance], distance
