@@ -1,6 +1,9 @@
 """What counts as help in version 1, and a cheat for each task that scores nothing."""
 
 import dataclasses
+import importlib
+import json
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -62,6 +65,19 @@ def test_itches_are_uniform_over_all_of_the_skin_between_shoulder_and_wrist():
         along = (itch - limb.centre) @ limb.axis
         assert np.linalg.norm(itch - limb.centre - along * limb.axis) == pytest.approx(limb.radius, abs=1e-6)
         assert along / limb.half_length == pytest.approx(float(height[i]), abs=1e-5)
+
+
+@pytest.mark.slow
+def test_two_in_five_itches_need_a_person_who_moves_and_hardly_one_needs_more(monkeypatch):
+    """By inverse kinematics over both bodies, in the postures in which people offer the arm."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "tools"))
+    offers = importlib.import_module("offers")
+    reach = offers.Reach("scratch")
+    rest, _ = reach.touched(reach.rest[reach.person])
+    ways = json.loads(offers.OFFERS.read_text())["scratch"]
+    moved = [reach.touched(np.array(posture))[0] for way in ways for posture in way["postures"][1:]]
+    assert rest.mean() == pytest.approx(0.58, abs=0.02)
+    assert np.logical_or.reduce([rest, *moved]).mean() > 0.95
 
 
 def around(env, s, body, point):
