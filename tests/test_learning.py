@@ -123,6 +123,19 @@ def test_normaliser_equals_the_statistics_of_all_data():
     np.testing.assert_allclose(normalize(stats, flat), expected, atol=1e-4)
 
 
+def test_an_input_that_did_not_vary_says_nothing_when_it_does():
+    """A preference that all partners of training shared, and a joint that moved by a tenth of a milliradian."""
+    data = np.random.default_rng(0).normal(0.2, 1.0, (3, 500, 3)).astype(np.float32)
+    data[..., 1], data[..., 2] = 0.12, 1.0 + 1e-4 * data[..., 2]
+    stats = init_stats(3)
+    for batch in data:
+        stats = update_stats(stats, jnp.asarray(batch))
+    stranger = jnp.array([0.2, 0.3, 1.1])
+    usual = jnp.array([0.2, 0.12, 1.0])
+    np.testing.assert_array_equal(normalize(stats, stranger), normalize(stats, usual))
+    assert normalize(stats, stranger + jnp.array([1.0, 0.0, 0.0]))[0] == pytest.approx(1.0, abs=0.1)
+
+
 def test_mlp_is_orthogonal_and_has_the_right_shape():
     layers = init_mlp(jax.random.key(0), (8, 8, 3), out_scale=0.01)
     w = layers[0]["w"]

@@ -5,6 +5,8 @@ import jax.numpy as jnp
 
 from assistax.pytree import pytree
 
+LEAST = 1e-3  # of a spread, in m, rad, N or what an observation is in, that is more than none
+
 
 @pytree
 class RunningStats:
@@ -41,6 +43,10 @@ def normalize(stats: RunningStats, x: jax.Array, clip: float = 10.0) -> jax.Arra
 
 
 def shift_and_scale(stats: RunningStats) -> tuple[jax.Array, jax.Array]:
-    """The mean [n] and 1 / standard deviation [n]; 0 and 1 before any data."""
+    """The mean [n] and 1 / standard deviation [n]; 0 and 1 before any data, and the scale 0 of what hardly varied.
+
+    Nobody has learned from such an input. Divided by its spread, a stranger's preference, which was the same with all
+    partners of training, or a shoulder 2 mm from where theirs were would be ten standard deviations off.
+    """
     var = jnp.where(stats.count > 0, stats.m2 / jnp.maximum(stats.count, 1.0), 1.0)
-    return stats.mean, jax.lax.rsqrt(var + 1e-8)
+    return stats.mean, jnp.where(var < LEAST**2, 0.0, jax.lax.rsqrt(jnp.maximum(var, LEAST**2)))
