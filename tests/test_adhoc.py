@@ -9,19 +9,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from commands import assistax as assistax_command
-from scipy.stats import ttest_ind
+from scipy.stats import ttest_ind, ttest_rel
 from stored import stored_run
 
 import assistax
 from assistax.errors import UsageError
 from assistax.evaluation.playing import Evaluator
-from assistax.evaluation.statistics import crossed_ci, gap_ci
+from assistax.evaluation.statistics import crossed_ci, gap_ci, paired_ci, proportion_ci
 from assistax.human import Person
 from assistax.learning.ppo import PPO, PPOConfig
 from assistax.policies import Player, scripted_policy
 from assistax.teamwork.adaptation import Series, about, probe, slope, summarize_series
-from assistax.teamwork.adhoc import Meeting, Scale, by_pair, draws, gap, only, scales, summarize
-from assistax.teamwork.report import picture, report
+from assistax.teamwork.adhoc import Meeting, draws, only
+from assistax.teamwork.report import meeting_env, picture, report
+from assistax.teamwork.scores import FEWEST, Scale, by_pair, difference, gap, scales, summarize
 from assistax.teamwork.strangers import knows
 from assistax.teamwork.validity import judge, with_robots
 from assistax.training import splits
@@ -132,16 +133,25 @@ def test_scores_are_between_who_knows_nobody_and_who_knows_them():
     scale = Scale.of(references)
     assert scale.zero.tolist() == [3, 5, 2] and scale.one.tolist() == [7, 5.1, 4]
     assert scale.scored.tolist() == [True, False, True]  # the second knows nobody and is as good
-    robots = [{"return": np.array([[5.0], [5.0], [2.0]])}, {"return": np.array([[7.0], [5.0], [4.0]])}]
-    found = summarize(by_pair(robots, {"score": scale}))
-    assert found["score"]["by_partner"] == [0.75, 0.5] and found["score"]["mean"] == 0.625
-    assert found["score"]["by_seed"] == [0.25, 1.0] and found["return"]["worst"] == 3.0
+    robots = np.array([[5.0, 5.0, 2.0], [7.0, 5.0, 4.0]])
+    np.testing.assert_array_equal(scale(robots), [[0.5, np.nan, 0.0], [1.0, np.nan, 1.0]])
+    np.testing.assert_allclose(scale.regret(robots), [[2.0, 0.1, 2.0], [0.0, 0.1, 0.0]])
     assert not Scale.of({k: references[k] for k in returns}).scored.any()
+
+    # Six such partners in a row: enough of them for a score.
+    pairs = [{"return": np.tile(robot, 2)[:, None]} for robot in robots]
+    few = summarize(by_pair([{"return": robot[:, None]} for robot in robots], {"return": scale}))
+    more = Scale(np.tile(scale.zero, 3), np.tile(scale.one, 3))
+    found = summarize(by_pair([{"return": np.tile(robot, 3)[:, None]} for robot in robots], {"return": more}))
+    assert found["score"]["by_pair"] == [[0.5, None, 0.0] * 3, [1.0, None, 1.0] * 3]
+    assert found["score"]["mean"] == 0.625 and found["regret"]["mean"] == pytest.approx(0.7)
+    assert more.scored.sum() >= FEWEST > scale.scored.sum() and "score" not in few and "regret" in few
+    assert "score" not in by_pair(pairs, {"return": Scale(np.tile(scale.zero, 2), np.tile(scale.one, 2))})
 
 
 def test_the_picture_needs_no_score(tmp_path):
     """Nobody of one part may be scored."""
-    one = {"mean": 0.5, "ci": (0.0, 1.0), "by_partner": [0.0, 1.0]}
+    one = {"mean": 0.5, "ci": (0.0, 1.0), "by_pair": [[0.0, 1.0]]}
     methods = {"train": {"br": {"return": one, "score": one}}, "test": {"br": {"return": one}}}
     found = {"task": "feeding-v1"} | {part: {"methods": made} for part, made in methods.items()}
     picture(found, tmp_path / "table.png")
@@ -170,19 +180,46 @@ def test_the_worst_partner_has_least_of_what_helps_and_most_of_what_harms():
     assert found["clamping"]["ci"] == (0.0, 1.0) and found["peak_force"]["ci"][0] == 0.0
 
 
+def test_the_worst_tenth_is_of_each_seed():
+    """Two robots, each of whom fails another of two partners: with both of them somebody is not helped."""
+    pairs = {"success": np.array([[1.0, 0.0], [0.0, 1.0]]), "clamping": np.array([[1.0, 0.0], [0.0, 1.0]])}
+    found = summarize(pairs)
+    assert found["success"]["worst"] == 0.0 and found["clamping"]["worst"] == 1.0
+
+
+def test_an_interval_of_what_always_or_never_happens_is_wilsons_for_new_partners():
+    found = summarize({name: np.full((3, 5), share) for name, share in (("success", 1.0), ("impact", 0.0))})
+    assert found["success"]["ci"] == pytest.approx(proportion_ci(5, 5)) and found["success"]["ci"][0] < 0.6
+    assert found["impact"]["ci"] == pytest.approx(proportion_ci(0, 5)) and found["impact"]["ci"][1] > 0.4
+    assert summarize({"return": np.ones((3, 5))})["return"]["ci"] is None
+
+
+def test_regret_does_not_count_that_strangers_are_easier_to_help():
+    """A robot as far from the best as ever, with people of whom the best reaches 10 and 20."""
+
+    def side(best):
+        returns = {name: {"return": np.zeros((4, 1))} for name in ("still", "random", "expert")}
+        made = scales(returns | {"own": {"return": np.full((4, 1), best)}})
+        return by_pair([{"return": np.array([[best - x] for x in (3.0, 1.0, 2.0, 2.0)])}], made)
+
+    found = gap(side(10.0), side(20.0))
+    assert found["return"]["mean"] == -10.0 and found["regret"]["mean"] == 0.0
+    assert found["regret"]["ci"][0] < 0.0 < found["regret"]["ci"][1]
+
+
 def test_preferences_count_only_with_success():
     one = {"return": np.ones((2, 2)), "success": np.array([[1.0, 0.0], [1.0, 1.0]])}
     one["preference_return"] = np.array([[10.0, 100.0], [20.0, 40.0]])
     found = by_pair([one])
-    assert summarize(found)["gated_preference_return"]["by_partner"] == [5.0, 30.0]
+    assert summarize(found)["gated_preference_return"]["by_pair"] == [[5.0, 30.0]]
     assert gap(found, by_pair([one | {"return": np.zeros((2, 2))}]))["return"] == {"mean": 1.0, "ci": None}
 
 
 def test_a_score_of_its_own_counts_preferences_only_with_success():
-    """One partner, two episodes, 100 of task return in each that succeeds; the robot pleases and does not help."""
+    """Two episodes, 100 of task return in each that succeeds; the robot pleases and does not help, whoever it is."""
 
     def robot(success, pleasing):
-        success, pleasing = np.array([success], float), np.array([pleasing], float)
+        success, pleasing = np.array([success] * FEWEST, float), np.array([pleasing] * FEWEST, float)
         return {"return": 100.0 * success + pleasing, "success": success, "preference_return": pleasing}
 
     nobody = {name: robot([0, 0], [0, 0]) for name in ("still", "random", "expert")}
@@ -190,7 +227,7 @@ def test_a_score_of_its_own_counts_preferences_only_with_success():
     found = summarize(by_pair([robot([0, 1], [150, 10])], scale))
     assert found["score"]["mean"] == pytest.approx(130 / 120)
     assert found["gated_score"]["mean"] == pytest.approx(55 / 120)
-    assert list(scales({name: {"return": np.ones((1, 2))} for name in (*nobody, "own")})) == ["score"]
+    assert list(scales({name: {"return": np.ones((1, 2))} for name in (*nobody, "own")})) == ["return"]
 
 
 def test_who_does_not_know_a_partner_is_no_reference_for_it():
@@ -201,7 +238,7 @@ def test_who_does_not_know_a_partner_is_no_reference_for_it():
     np.testing.assert_array_equal(scale.one, [3.0, 2.0, np.nan])
     assert scale.scored.tolist() == [True, True, False]
     found = summarize(by_pair([best]))["return"]
-    assert found["by_partner"] == [3.0, None, None] and found["mean"] == 3.0
+    assert found["by_pair"] == [[3.0, None, None]] and found["mean"] == 3.0
 
 
 @pytest.mark.parametrize("shape", [(3, 10), (10, 50)])
@@ -239,6 +276,33 @@ def test_a_gap_of_one_seed_is_welchs():
     welch = ttest_ind(a[0], b[0], equal_var=False).confidence_interval()
     np.testing.assert_allclose(gap_ci(a, b), (welch.low, welch.high), rtol=1e-3)
     assert gap_ci(np.ones((3, 4)), np.zeros((3, 2))) is None and gap_ci(np.ones((1, 1)), np.zeros((1, 1))) is None
+
+
+@pytest.mark.parametrize("shape", [(3, 2, 8), (5, 5, 30), (3, 3, 16)])
+@pytest.mark.parametrize("spread", [(1.0, 1.0, 1.0), (0.1, 1.0, 0.3), (0.1, 0.1, 1.0), (0.3, 0.0, 0.3)])
+def test_coverage_of_differences_beside_the_same_partners(shape, spread):
+    """Partners are harder or easier for both, and for one; seeds and pairs differ."""
+    rng, (*seeds, partners) = np.random.default_rng(0), shape
+    covered, trials = 0, 600
+    for _ in range(trials):
+        hard, kinds = 3.0 * rng.normal(size=(1, partners)), []
+        for number in seeds:
+            effects = rng.normal(size=(number, 1)), rng.normal(size=(1, partners)), rng.normal(size=(number, partners))
+            kinds.append(hard + sum(a * x for a, x in zip(spread, effects, strict=True)))
+        low, high = paired_ci(*kinds)
+        covered += low <= 0 <= high
+    assert 0.92 <= covered / trials <= 1.0
+
+
+def test_a_difference_of_one_seed_each_is_students_paired():
+    a, b = np.array([[1.0, 2.0, 3.0, 7.0]]), np.array([[0.0, 2.0, 1.0, 4.0]])
+    paired = ttest_rel(a[0], b[0]).confidence_interval()
+    np.testing.assert_allclose(paired_ci(a, b), (paired.low, paired.high), rtol=1e-5)
+    assert paired_ci(np.ones((3, 4)), np.zeros((3, 4))) is None and paired_ci(a[:, :1], b[:, :1]) is None
+    unpaired = gap_ci(a, b)
+    assert paired.high - paired.low < unpaired[1] - unpaired[0]
+    found = difference({"success": np.array([[1.0, 1.0, np.nan]])}, {"success": np.array([[0.0, 1.0, 1.0]])})
+    assert found["success"]["mean"] == 0.5 and found["success"]["ci"] == (-1.0, 1.0)
 
 
 def test_no_interval_hides_what_cannot_be_known():
@@ -282,7 +346,7 @@ def parts_of(root, *names):
 
 
 def test_robots_that_have_met_a_held_out_partner_are_refused(robots, tmp_path):
-    """As a member, as an earlier self of one, as a run of its own, beside which it learned, or by name."""
+    """As a member, however called, as an earlier self, as a run of its own, beside which it learned, or by name."""
     root, made = robots
     parts = parts_of(root, "train", "test")
     met = parts["train"].ids[0]
@@ -294,6 +358,9 @@ def test_robots_that_have_met_a_held_out_partner_are_refused(robots, tmp_path):
     rows = [row | {"id": f"earlier {row['id']}", "fraction": 0.333} for row in parts["train"].rows]
     earlier = dataclasses.replace(parts["train"], rows=tuple(rows))
     assert all(knows(made["br"], earlier))
+
+    renamed = [row | {"id": f"again {row['id']}", "seed": 77} for row in parts["train"].rows]
+    assert all(knows(made["br"], dataclasses.replace(parts["train"], rows=tuple(renamed))))
 
     learned = stored_run(tmp_path / "learned", configure("scratch", SETTINGS))
     row = {"task": "scratch-v1", "algorithm": "ippo", "seed": 0, "steps": 64, "robot": True}
@@ -376,6 +443,22 @@ def bodies_of(population):
     return bodies(states.person)
 
 
+@pytest.mark.slow
+def test_beside_its_partner_a_robot_reaches_what_its_training_says(population, tmp_path):
+    """The evaluation in a training, with draws of its own, and a meeting: means of 128 episodes each."""
+    one = population.select(population.ids[1:2])
+    one.save(tmp_path / "one")
+    settings = {k: v for k, v in SETTINGS.items() if "human" not in k} | {"env.episode_length": 40}
+    run = stored_run(tmp_path / "run", configure("scratch", settings, partners=(f"human={tmp_path}/one",)))
+    (team,) = run.teams()
+    trained = Evaluator(run.env, 128)(team)["metrics"]
+    met = Meeting(meeting_env(run, one), one, 128)(team["robot"])
+    for name in ("return", "task_return", "preference_return"):
+        a, b = np.asarray(trained[name], float), met[name][0]
+        error = np.sqrt(a.var(ddof=1) / len(a) + b.var(ddof=1) / len(b))
+        assert a.std() > 0 and abs(a.mean() - b.mean()) < 3 * error, name
+
+
 def test_best_responses_are_references_for_those_whom_they_know(robots):
     root, made = robots
     parts = parts_of(root, "train", "test")
@@ -392,10 +475,10 @@ def test_partners_without_a_robot_are_no_obstacle_to_the_others(population, robo
     strangers = [splits.named(f"{root}/pop:random/{part}")[1].ids[0] for part in ("val", "test")]
     mixed = Population.merge([people, population.select(strangers)])
     found = report({"oracle": [made["oracle"]]}, {"test": mixed}, episodes=1)["test"]
-    own, still = (found["references"][name]["return"]["by_partner"] for name in ("own", "still"))
+    own, still = (found["references"][name]["return"]["by_pair"][0] for name in ("own", "still"))
     assert own[0] is None and None not in own[1:] and None not in still
     alone = report({"oracle": [made["oracle"]]}, {"test": population.select(strangers[1:])}, episodes=1)
-    assert alone["test"]["references"]["own"]["return"]["by_partner"][0] == own[2]
+    assert alone["test"]["references"]["own"]["return"]["by_pair"][0][0] == own[2]
 
 
 def test_a_robot_that_observes_something_else_is_refused_before_anybody_plays(robots, tmp_path, monkeypatch):
@@ -422,9 +505,15 @@ def test_the_report_has_everybody(robots, tmp_path):
     for part in ("train", "test"):
         assert set(found[part]["references"]) == {"still", "random", "expert", "considerate", "own"}
         for one in found[part]["methods"].values():
-            assert len(one["return"]["by_partner"]) == len(found["partners"][part])
-            assert len(one["return"]["by_seed"]) == 2
+            assert np.shape(one["return"]["by_pair"]) == (2, len(found["partners"][part]))
+        assert set(found[part]["differences"]) == {"oracle"} and set(found[part]["scored"]) == {"score", "gated_score"}
     assert set(found["gap"]) == {"br", "oracle"}
+
+
+def test_a_run_counts_once(robots):
+    root, made = robots
+    with pytest.raises(UsageError, match="br is given twice as a robot of mine; its seeds would count twice"):
+        report({"mine": [made["br"], made["br"]]}, parts_of(root, "test"), episodes=1)
 
 
 def test_a_robot_made_elsewhere_stands_beside_runs(robots):
@@ -434,7 +523,7 @@ def test_a_robot_made_elsewhere_stands_beside_runs(robots):
     test = parts_of(root, "test")
     found = report({"run": [made["br"]], "mine": [team["robot"]]}, test, episodes=1)
     run, mine = (found["test"]["methods"][name]["return"] for name in ("run", "mine"))
-    assert mine["by_seed"] == run["by_seed"][:1] and found["runs"]["mine"] == [{"policy": "Actor"}]
+    assert mine["by_pair"] == run["by_pair"][:1] and found["runs"]["mine"] == [{"policy": "Actor"}]
     alone = report({"mine": [team["robot"]]}, test, episodes=1)  # in the task as it is, not as the run changed it
     assert alone["task"] == found["task"] and set(alone["test"]["references"]) == set(found["test"]["references"])
     assert alone["test"]["methods"]["mine"]["return"]["mean"] > mine["mean"]
@@ -550,9 +639,11 @@ def test_a_summary_has_means_by_episode_and_their_slope(population):
     found = summarize_series([one, one | {"return": one["return"] + 1.0}], about(population))
     assert found["return"]["by_episode"] == [2.5, 3.5] and found["return"]["slope"] == 1.0
     assert found["probe"] == {"preference": {"1": None}, "body": {"1": None}}
-    zero, best = np.full(5, 2.0), np.array([4.0, 4.0, 6.0, np.nan, 2.1])
+    zero, best = np.full(5, 2.0), np.array([4.0, 4.0, 6.0, 3.0, 4.0])
     scored = summarize_series([one], about(population), Scale(zero, best))["score"]
-    assert scored["by_episode"] == [0.0, round((0.5 + 0.5 + 0.25) / 3, 4)]  # of three partners, who have 2.0 and 3.0
+    assert scored["by_episode"] == [0.0, round((0.5 + 0.5 + 0.25 + 1.0 + 0.5) / 5, 4)]  # they have 2.0 and 3.0
+    unknown = np.append(best[:4], np.nan)
+    assert "score" not in summarize_series([one], about(population), Scale(zero, unknown))
     truths = about(population)
     assert truths["preference"].shape == (5, 7) and truths["body"].shape == (5, 4)
     assert truths["body"][2].tolist() == pytest.approx([0.0, 5.0, 0.4, 1.0])

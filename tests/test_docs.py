@@ -132,8 +132,8 @@ def test_strangers_by_kind_are_means_over_those_of_that_kind(monkeypatch):
     """Three strangers of two bodies, taught two ways; the last one's own robot is not kept."""
     people = [{"disability": body, "preference": "none", "taught": way} for body, way in zip("xxy", "aba", strict=True)]
     part = {
-        "references": {"own": {"safe_success": {"by_partner": [1.0, 0.5, None]}}},
-        "methods": {"br": {"safe_success": {"by_partner": [0.2, 0.4, 0.9]}}},
+        "references": {"own": {"safe_success": {"by_pair": [[1.0, 0.5, None]]}}},
+        "methods": {"br": {"safe_success": {"by_pair": [[0.2, 0.4, 0.8], [0.2, 0.4, 1.0]]}}},
     }
     lines = tool("strangers_page", monkeypatch)._by_kind(people, part).splitlines()
     assert [cell.strip() for cell in lines[0].split("|")[1:-1]] == ["robot", "x", "y", "a", "b"]

@@ -11,21 +11,24 @@ from assistax.files import read_json
 from assistax.formats import TEAMWORK
 from assistax.human.variety import PREFERENCES
 from assistax.results.comparison import markdown
-from assistax.teamwork.report import picture
+from assistax.teamwork.report import by_partner, picture
+from assistax.teamwork.scores import FEWEST
 
 PAGE = """# Robots that meet strangers
 
 Robots that learned with some people of a [population](partners.md), with these and with others of it, whom they had
 never met. [Ad-hoc teamwork](teamwork.md) says how they learned and what is measured. Intervals are 95 %, for new seeds
-and new partners; of one robot, as of references, for new partners only. "Their own" is the robot that each person
-learned with, who knows them; still, random and expert know nobody, the last one being told all that the simulator
-knows. Written from `results/teamwork/` by `python tools/pages.py strangers`.
+and new partners; of one robot, as of references, for new partners only. The gap is what strangers cost; that of regret
+leaves out that some people are easier to help than others, as it is of what a robot is short of who knows the person.
+The column "beside" compares robots that met the same strangers. "Their own" is the robot that each person learned with,
+who knows them; still, random and expert know nobody, the last one being told all that the simulator knows. Written from
+`results/teamwork/` by `python tools/pages.py strangers`.
 
 {each}
 """
 ONE = """## {task}, split `{split}`
 
-{train} people to train with and {test} strangers, {episodes} episodes with each, {steps}.
+{train} people to train with and {test} strangers, {episodes} episodes with each. {scored}
 
 {methods}
 
@@ -50,39 +53,57 @@ def _any(path: Path) -> Mapping[str, Any]:
 
 def _one(found: Mapping[str, Any], split: str, pictures: Path) -> str:
     picture(found, pictures / f"strangers_{found['task']}_{split}.png")
-    steps = sorted({f"{run['steps'] / 1e6:g} M" for runs in found["runs"].values() for run in runs if "steps" in run})
     return ONE.format(
         task=found["task"],
         split=split,
         train=len(found["partners"]["train"]),
         test=len(found["partners"]["test"]),
         episodes=found["episodes"],
-        steps=" or ".join(steps) + " steps a robot" if steps else "robots made elsewhere",
+        scored=_scored(found["test"]["scored"]["score"]),
         methods=_table(found),
         kinds=_by_kind(found["people"]["test"], found["test"]),
     )
 
 
+def _scored(partners: Sequence[bool]) -> str:
+    count = f"{sum(partners)} of {len(partners)}"
+    if sum(partners) < FEWEST:
+        return f"There is no score: with {count} strangers somebody who knows them is better than who knows nobody."
+    return f"Scores are over the {count} strangers with whom somebody who knows them is better than who knows nobody."
+
+
 def _table(found: Mapping[str, Any]) -> str:
     """References, then methods, the best with strangers first."""
-    scored = any(found["test"]["scored"])
-    head = ["robot", "seeds", "safe, of training", "safe, strangers", "gap", "worst tenth"]
-    head += ["score"] * scored + ["return", "clamped", "hit", "peak force, N"]
+    part = found["test"]
+    first = next(iter(part["methods"]))
+    scores = [name for name, partners in part["scored"].items() if sum(partners) >= FEWEST]
+    head = ["robot", "seeds", "safe, of training", "safe, strangers", "gap", "gap of regret", f"beside {first}"]
+    head += ["worst tenth", *(name.replace("_", " ") for name in scores), "return", "clamped", "hit", "peak force, N"]
     rows = []
     for group in ("references", "methods"):
-        known, strange = found["train"][group], found["test"][group]
+        known, strange = found["train"][group], part[group]
         for name in sorted(strange, key=lambda one: -strange[one]["safe_success"]["mean"]):
-            one = strange[name]
-            row = ["their own" if name == "own" else name]
-            row.append(str(len(one["return"]["by_seed"])) if group == "methods" else "")
+            one, gaps = strange[name], found["gap"].get(name, {})
+            row = ["their own" if name == "own" else name, _seeds(found["runs"].get(name, ()))]
             row.append(_rate(known[name]["safe_success"]) if name in known else "")
             row.append(_rate(one["safe_success"]))
-            row.append(_rate(found["gap"][name]["safe_success"]) if name in found["gap"] else "")
+            row += [_rate(gaps[gap]) if gap in gaps else "" for gap in ("safe_success", "safe_regret")]
+            less = part["differences"].get(name)
+            row.append(_number(less["safe_success"], "+.0%") if less and group == "methods" else "")
             row.append(f"{one['safe_success']['worst']:.0%}")
-            row += [_number(one["score"], ".2f") if "score" in one else ""] * scored
+            row += [_number(one[score], ".2f") if score in one else "" for score in scores]
             row += [_number(one["return"], ".0f"), *(f"{one[hurt]['mean']:.0%}" for hurt in ("clamping", "impact"))]
             rows.append([*row, f"{one['peak_force']['mean']:.0f}"])
     return markdown(head, rows)
+
+
+def _seeds(runs: Sequence[Mapping[str, Any]]) -> str:
+    """How many of a method's robots have learned for how many steps."""
+    counts: dict[str, int] = {}
+    for run in runs:
+        steps = f"{run['steps'] / 1e6:g} M" if "steps" in run else "elsewhere"
+        counts[steps] = counts.get(steps, 0) + len(run.get("seeds", (0,)))
+    return ", ".join(f"{count} × {steps}" for steps, count in counts.items())
 
 
 def _by_kind(people: Sequence[Mapping[str, str]], part: Mapping[str, Any]) -> str:
@@ -99,7 +120,7 @@ def _by_kind(people: Sequence[Mapping[str, str]], part: Mapping[str, Any]) -> st
     rows = []
     for group in ("references", "methods"):
         for name, one in part[group].items():
-            safe = np.array(one["safe_success"]["by_partner"], float)  # None, who has no robot of their own, is NaN
+            safe = by_partner(one["safe_success"])
             cells = [safe[np.array(mine) & ~np.isnan(safe)] for mine in columns.values()]
             rows.append(["their own" if name == "own" else name, *(f"{x.mean():.0%}" if len(x) else "" for x in cells)])
     return markdown(["robot", *columns], rows)

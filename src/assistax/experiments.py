@@ -55,6 +55,7 @@ class Method:
     algorithm: str = "ippo"
 
 
+STAYS = {"env.human.redraw_every": 3}
 METHODS = {
     "best-response": Method(),
     "untaught": Method(settings=UNTAUGHT),
@@ -63,7 +64,9 @@ METHODS = {
     "oracle": Method(settings={"env.human.visibility": "oracle"}),
     "hidden": Method(settings={"env.human.visibility": "human"}),
     "gru": Method(recurrent=True),
-    "gru-stays": Method(settings={"env.human.redraw_every": 3}, recurrent=True),
+    "gru-stays": Method(settings=STAYS, recurrent=True),
+    "gru-stays-hidden": Method(settings=STAYS | {"env.human.visibility": "human"}, recurrent=True),
+    "oracle-gru": Method(settings=STAYS | {"env.human.visibility": "oracle"}, recurrent=True),
     "liam": Method(settings={"ppo.partner_code": 16}),
     "randomised": Method("offers"),
     "self-play": Method(""),
@@ -72,6 +75,7 @@ METHODS = {
 }
 SEVERAL = ("best-response", "untaught", "asymmetric", "fcp", "oracle", "gru", "gru-stays", "liam", "randomised")
 SEVERAL += ("self-play", "e3t")
+HIDDEN = ("hidden", "gru-stays-hidden", "oracle-gru")  # who must find out what a person likes, and who is told
 
 
 class Experiment(Protocol):
@@ -248,7 +252,7 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     yield from _trainings("ippo", "default", "", seeds or 5)
     yield from _trainings("ippo", "default", "-preferences", seeds or 3)
     yield from _robots("scratch-v1", "taught", 8_000_000, seeds)  # at 4 M they have 60 % and are still rising
-    yield from _robots("feeding-v1", "random", 2_000_000, seeds, (*SEVERAL, "hidden"))
+    yield from _robots("feeding-v1", "random", 2_000_000, seeds, (*SEVERAL, *HIDDEN))
     yield from _robots("feeding-v1", "extreme", 2_000_000, seeds, ("best-response", "sac"))
     yield from _trainings("ippo", "default", STILL, seeds or 3)
     yield from _trainings("mappo", "default", "", seeds or 3)

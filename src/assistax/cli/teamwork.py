@@ -43,6 +43,7 @@ def evaluate(
     from assistax.files import write_json
     from assistax.teamwork.best_responses import ABOUT, runs_of
     from assistax.teamwork.report import picture, report, table
+    from assistax.teamwork.scores import FEWEST
     from assistax.training import splits
     from assistax.training.run import Run
 
@@ -50,13 +51,21 @@ def evaluate(
     named = _named(methods)
     populations = {one: splits.named(f"{population}:{split}/{one}")[1] for one in ("train", part)}
     places = [one for p in best_responses for one in (runs_of(p) if (p / ABOUT).exists() else [p])]
-    found = report(named, populations, episodes, best_responses={str(p): Run.open(p) for p in places})
+    known = {str(place): Run.open(place) for place in places}
+    found = report(named, populations, episodes, best_responses=known)
+    found |= {"population": population.name, "split": split}
     for one in populations:
+        scored = ", ".join(f"{sum(x)} in a {name.replace('_', ' ')}" for name, x in found[one]["scored"].items())
         print(f"{found['task']}, {len(populations[one])} partners to {one}, {episodes} episodes each, 95 % intervals")
-        print(aligned(*table(found, one)), end="\n\n")
+        print(aligned(*table(found, one)))
+        print(f"Of {len(populations[one])} partners count {scored}; a score needs {FEWEST} or more.\n")
+    for name, runs in found["runs"].items():
+        if len(steps := sorted({run["steps"] for run in runs if "steps" in run})) > 1:
+            print(f"{name}: robots of {steps[0]:,} to {steps[-1]:,} steps are one method here.")
     for name, gaps in found.get("gap", {}).items():
         returns, success = _gap(gaps["return"], ".1f"), _gap(gaps["success"], ".0%")
-        print(f"{name}: coordination gap {returns} of return, {success} of success")
+        regret = f", {_gap(gaps['regret'], '.1f')} of regret" if "regret" in gaps else ""
+        print(f"{name}: coordination gap {returns} of return{regret}, {success} of success")
     if out is not None:
         write_json(out, found)
         picture(found, out.with_suffix(".png"))

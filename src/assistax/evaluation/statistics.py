@@ -205,6 +205,37 @@ def gap_ci(known: np.ndarray, strange: np.ndarray) -> Interval | None:
     return gap - float(reach), gap + float(reach)
 
 
+def paired_ci(ours: np.ndarray, theirs: np.ndarray) -> Interval | None:
+    """95 % interval of mean(ours) - mean(theirs) for new seeds of both and new partners.
+
+    Both are scores [seeds, partners], as in `crossed_ci`, of other robots beside the same partners, so that what makes
+    a partner hard for both falls out. The variance is that of either kind of seeds and that of the partners'
+    differences, less what the seeds' have in it already; Student's t has Satterthwaite's degrees of freedom. With one
+    seed of both it is Student's paired interval for new partners of these two robots. With normal effects it covers
+    94 to 100 % at 3 and 2 seeds with 8 partners, 92 to 99 % at 2 and 1.
+
+    None where there is nothing to go by: one seed of both and one partner, or no spread at all.
+    """
+    a, b = np.asarray(ours, np.float64), np.asarray(theirs, np.float64)
+    partners, terms = a.shape[1], []  # of the variance, each with its degrees of freedom
+    if partners > 1:
+        terms.append(((a.mean(0) - b.mean(0)).var(ddof=1) / partners, partners - 1))
+    for x in (a, b):
+        if len(x) > 1:
+            terms.append((x.mean(1).var(ddof=1) / len(x), len(x) - 1))
+            if partners > 1:
+                squares, degrees = _mean_squares(x)
+                terms.append((-squares[2] / x.size, degrees[2]))
+    whole = [(term, degree) for term, degree in terms if term > 0.0]
+    variance = max(sum(term for term, _ in terms), max((term for term, _ in whole), default=0.0))
+    if variance <= 0.0:
+        return None
+    freedom = variance**2 / sum(term**2 / degree for term, degree in terms)
+    reach = student_t(max(freedom, min(degree for _, degree in whole))) * np.sqrt(variance)
+    difference = float(a.mean() - b.mean())
+    return difference - float(reach), difference + float(reach)
+
+
 def _mean_squares(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Of rows, columns and what is left of each number of x [rows, columns], two or more of each; and their degrees."""
     rows, columns = x.shape

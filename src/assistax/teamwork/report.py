@@ -5,6 +5,8 @@ One method is one or more runs, whose seeds are its robots; each meets every par
 """
 
 import dataclasses
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,13 +21,14 @@ from assistax.evaluation.playing import EVALUATION_SEED
 from assistax.policies import Player
 from assistax.results.figures import STYLE
 from assistax.stamp import stamp
-from assistax.teamwork.adhoc import HURT, Meeting, by_pair, gap, only, scales, summarize
+from assistax.teamwork.adhoc import HURT, Meeting, only
+from assistax.teamwork.scores import SCORES, by_pair, difference, gap, scales, summarize
 from assistax.teamwork.strangers import check_robots, check_strangers, knows
-from assistax.training.configuration import TrainConfig, configure
+from assistax.training.configuration import TrainConfig, configure, to_json
 from assistax.training.population import Population
 from assistax.training.run import Run
 
-SHOWN = ("score", "gated_score", "return", "success", "safe_success", "gated_preference_return")
+SHOWN = ("score", "gated_score", "return", "regret", "success", "safe_success", "gated_preference_return")
 
 
 def report(
@@ -48,14 +51,15 @@ def report(
 
     Returns:
       ready for JSON: "task", "episodes", "partners" (ids by part), "people" (who they are, by part), by part
-      "references" and "methods" (see adhoc.summarize) and which partners are "scored"; "gap" by method and measure;
-      "stamp".
+      "references" and "methods" (see scores.summarize), which partners are "scored" by score, and the "differences" of
+      the other methods from the first, by method and measure; "gap" by method and measure; "runs" by method; "stamp".
 
     Raises:
       UsageError: a run of another task, whose robot did not learn, observes something else, or has met a held-out
-        partner in training.
+        partner in training; or a run given twice.
     """
     best_responses = best_responses or {}
+    _check_once(methods)
     measured = [one for robots in methods.values() for one in robots if isinstance(one, Run)]
     check_robots([*measured, *best_responses.values()], populations)
     check_strangers(measured, populations)
@@ -65,7 +69,9 @@ def report(
     for meetings in everywhere.values():  # who does not fit is refused before anybody has played
         for run in (*measured, *best_responses.values()):
             meetings.of(run)
-    found: dict[str, Any] = {"task": task, "episodes": episodes, "seed": seed}
+    played = to_json(everywhere[next(iter(populations))].config)
+    found: dict[str, Any] = {"task": task, "episodes": episodes, "seed": seed, "engine": played["engine"]}
+    found["env"] = played["env"] | {"human": {k: v for k, v in played["env"]["human"].items() if k != "people"}}
     found["partners"] = {part: list(population.ids) for part, population in populations.items()}
     found["people"] = {part: [kind_of(row) for row in population.rows] for part, population in populations.items()}
     pairs: dict[str, dict[str, Any]] = {}  # by part and method
@@ -76,19 +82,31 @@ def report(
             for k, one in zip(run.seeds.seeds, meetings(run, seed), strict=True):
                 references[f"{name} {k}" if run.config.num_seeds > 1 else name] = only(known, one)
         references = {name: one for name, one in references.items() if not np.isnan(one["return"]).all()}
-        scale = scales(references)
+        made = scales(references)
         pairs[part] = {
-            name: by_pair([robot for one in robots for robot in meetings(one, seed)], scale)
+            name: by_pair([robot for one in robots for robot in meetings(one, seed)], made)
             for name, robots in methods.items()
         }
+        first, *others = pairs[part]
         found[part] = {
-            "references": {name: summarize(by_pair([one], scale)) for name, one in references.items()},
+            "references": {name: summarize(by_pair([one], made)) for name, one in references.items()},
             "methods": {name: summarize(one) for name, one in pairs[part].items()},
-            "scored": [bool(one) for one in scale["score"].scored],
+            "scored": {name: made[on].scored.tolist() for name, on in SCORES.items() if on in made},
+            "differences": {name: difference(pairs[part][name], pairs[part][first]) for name in others},
         }
     if {"train", "test"} <= set(populations):
         found["gap"] = {name: gap(pairs["train"][name], pairs["test"][name]) for name in methods}
     return found | {"runs": {name: [_about(one) for one in robots] for name, robots in methods.items()}} | stamp()
+
+
+def _check_once(methods: Mapping[str, Sequence[Run | Player]]) -> None:
+    """A run given twice would count as two seeds that agree."""
+    for name, robots in methods.items():
+        within = set()
+        for place in [one.folder.resolve() for one in robots if isinstance(one, Run)]:
+            if place in within:
+                raise UsageError(f"{place.name} is given twice as a robot of {name}; its seeds would count twice.")
+            within.add(place)
 
 
 class Meetings:
@@ -99,7 +117,7 @@ class Meetings:
 
     def __init__(self, config: TrainConfig, population: Population, episodes: int):
         self.population, self.episodes = population, episodes
-        config = _meeting_config(config, population, visibility="both")
+        self.config = config = _meeting_config(config, population, visibility="both")
         self.plain = Meeting(Env(config.task, config.engine, config.env, config.task_config), population, episodes)
         self._made: dict[Any, Meeting] = {(config.env, config.task_config): self.plain}
 
@@ -141,6 +159,11 @@ def kind_of(row: Mapping[str, Any]) -> dict[str, str]:
     return row["person"] | {name: row[name] for name in ("taught", "habit") if name in row}
 
 
+def by_partner(measure: Mapping[str, Any]) -> np.ndarray:
+    """Means over seeds [partners] of a measure of a report; NaN for those without a number."""
+    return np.array(measure["by_pair"], float).mean(0)
+
+
 def table(found: Mapping[str, Any], part: str = "test") -> tuple[list[str], list[list[str]]]:
     """Head and rows: references, then methods, with means, intervals, the worst tenth, and the share that was hurt."""
     rows = []
@@ -170,7 +193,7 @@ def picture(found: Mapping[str, Any], path: Path) -> None:
             for i, name in enumerate(names):
                 one = found[part]["methods"][name][measure]
                 x = i + (k - (len(parts) - 1) / 2) * 0.25
-                dots = one["by_partner"]
+                dots = by_partner(one)
                 axes.plot(x + np.linspace(-0.06, 0.06, len(dots)), dots, ".", color=f"C{k}", alpha=0.35, ms=4)
                 low, high = one["ci"] or (one["mean"], one["mean"])
                 error = [[one["mean"] - low], [high - one["mean"]]]
@@ -191,7 +214,9 @@ def _about(one: Run | Player) -> dict[str, Any]:
     if isinstance(one, Player):
         return {"policy": type(one.policy).__name__}
     config = one.config
-    return {"algorithm": config.algorithm, "steps": config.steps, "seeds": list(config.seeds)}
+    about = {"run": one.folder.name, "algorithm": config.algorithm, "steps": config.steps, "seeds": list(config.seeds)}
+    settings = {name: value for name, value in to_json(config).items() if name != "stamp"}
+    return about | {"config": hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]}
 
 
 def _meeting_config(config: TrainConfig, population: Population, **knowing: Any) -> TrainConfig:

@@ -1,6 +1,8 @@
 """Who has met whom in training: held-out partners must be strangers, and best responses must not."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import jax
 import numpy as np
@@ -54,21 +56,22 @@ def knows(run: Run, population: Population) -> list[bool]:
 def _met(run: Run, population: Population) -> list[bool]:
     partner = run.partners.get("human")
     if partner is not None and partner.population is not None:
-        theirs = partner.population.rows
-        habits, selves = {row.get("habit") for row in theirs}, {self_of(row) for row in theirs}
-        return [row["habit"] in habits if "habit" in row else self_of(row) in selves for row in population.rows]
-    habits = {name for agent, name in map(split_pair, run.config.partners) if agent == "human"}
-    people = [partner.player] if partner is not None else [team["human"] for team in run.teams()]
-    met = [actor for person in people for actor in _actors(person)]
-    selves = set()
-    if partner is None:
-        selves = selves_of(run.config)
-    elif partner.trained is not None:
-        selves = selves_of(stored_config(partner.trained, f"the partner of {run.folder}"))
+        theirs, people = partner.population, []
+        habits, selves = {row.get("habit") for row in theirs.rows}, {self_of(row) for row in theirs.rows}
+        met = {_fingerprint(theirs.member(row)["human"]["actor"]) for row in theirs.rows if "habit" not in row}
+    else:
+        habits = {name for agent, name in map(split_pair, run.config.partners) if agent == "human"}
+        people = [partner.player] if partner is not None else [team["human"] for team in run.teams()]
+        met = {_fingerprint(actor) for person in people for actor in _actors(person)}
+        selves = set()
+        if partner is None:
+            selves = selves_of(run.config)
+        elif partner.trained is not None:
+            selves = selves_of(stored_config(partner.trained, f"the partner of {run.folder}"))
     return [
         row["habit"] in habits or any(_is_habit(row["habit"], person) for person in people)
         if "habit" in row
-        else self_of(row) in selves or any(_same(population.member(row)["human"]["actor"], actor) for actor in met)
+        else self_of(row) in selves or _fingerprint(population.member(row)["human"]["actor"]) in met
         for row in population.rows
     ]
 
@@ -90,9 +93,10 @@ def _is_habit(name: str, player: Player) -> bool:
     return isinstance(player.policy, Habits) and any(player.member(i) == habit for i in range(player.members))
 
 
-def _same(stored, actor) -> bool:
-    """Whether a stored actor, in half precision, is this one."""
-    pairs = jax.tree.leaves(stored), jax.tree.leaves(actor)
-    return len(pairs[0]) == len(pairs[1]) and all(
-        np.shape(a) == np.shape(b) and np.array_equal(a, np.asarray(b, np.float16)) for a, b in zip(*pairs, strict=True)
-    )
+def _fingerprint(actor: Any) -> bytes:
+    """Of an actor's weights in half precision, as populations store them."""
+    digest = hashlib.sha256()
+    for leaf in jax.tree.leaves(actor):
+        weights = np.asarray(leaf, np.float16)
+        digest.update(repr(weights.shape).encode() + weights.tobytes())
+    return digest.digest()
