@@ -46,7 +46,7 @@ from assistax.scenes.person import (
 from assistax.scenes.robots import ASSETS, ROBOTS, RobotSpec
 
 NET_FORCE = (1 << int(mujoco.mjtConDataField.mjCONDATA_FORCE), 3, 1)  # data="force" reduce="netforce" num="1"
-# Where the robot touches, skin gives way: the less, the deeper (2 mm at 3 N). On a hard contact a sliding
+# Where the robot touches, skin gives way: the less, the deeper (2.4 mm at 3 N). On a hard contact a sliding
 # tool chatters: it opens and closes every few steps, and a force cannot be held.
 SKIN = (0.01, 0.9, 0.01, 0.5, 2.0)  # solimp
 SKIN_FRICTION = 0.3

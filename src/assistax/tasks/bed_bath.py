@@ -41,12 +41,10 @@ class BedBathConfig:
     hidden: float = 0.6  # m
     turned: float = 0.2  # m
     reach_each: bool = False  # whether every dirty point pays a share of reach, for good once it is washed
-    # Where the points are: all around the arm, or between fractions of the segment's length from its start, and up to
-    # this angle to either side of up.
-    around: bool = False
+    around: bool = False  # whether points are all around the arm, or where height and angle say
     dirty: float = pi  # rad, to either side of where a reset draws: what is to be washed; the rest is clean
-    height: tuple[float, float] = (0.1, 0.9)
-    angle: float = 0.8  # rad
+    height: tuple[float, float] = (0.1, 0.9)  # if not around: fractions of the segment's length, from its start
+    angle: float = 0.8  # rad, if not around: to either side of up
     success_fraction: float = 0.9  # of the points
 
 

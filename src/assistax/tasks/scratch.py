@@ -27,7 +27,7 @@ TOUCHING = 1e-3  # N, a contact; 0 up to rounding
 class ScratchConfig:
     """The numbers in which versions differ; the defaults are version 0's."""
 
-    near: float = 0.1  # m, the scratch term counts when the tool is nearer than this
+    near: float = 0.1  # m, the scratch term of version 0 counts when the tool is nearer than this
     speed: float = 0.1  # m/s, v* of the scratch term
     force: float = 3.0  # N, f* of the scratch term
     scratch_scale: float = 4.0  # of the scratch term
