@@ -196,7 +196,7 @@ def picture(found: Mapping[str, Any], path: Path) -> None:
                 dots = by_partner(one)
                 axes.plot(x + np.linspace(-0.06, 0.06, len(dots)), dots, ".", color=f"C{k}", alpha=0.35, ms=4)
                 low, high = one["ci"] or (one["mean"], one["mean"])
-                error = [[one["mean"] - low], [high - one["mean"]]]
+                error = [[max(one["mean"] - low, 0.0)], [max(high - one["mean"], 0.0)]]
                 axes.errorbar(x, one["mean"], error, fmt="o", color=f"C{k}", capsize=3, label=part if i == 0 else None)
         axes.set_xticks(range(len(names)), names)
         axes.set_ylabel(measure.replace("_", " "))
