@@ -114,13 +114,13 @@ class Instant:
         return s, dataclasses.replace(self.state, thrown=before), jnp.bool_(True)
 
 
-def best(instant, person, wanted, number=6000, rounds=22):
-    """The most that is paid per step for what helps, or for what does not."""
+def best(instant, person, wanted, number=6000, rounds=22, fast=0.1):
+    """The most that is paid per step for what helps, or for what does not; speeds begin around `fast` m/s."""
     look = jax.jit(jax.vmap(instant, (0, 0, None)))
     rng, most = np.random.default_rng(0), -np.inf
 
     def draw(n):
-        speed = rng.normal(size=(n, 3)) * 0.1 * rng.integers(0, 2, (n, 1))
+        speed = rng.normal(size=(n, 3)) * fast * rng.integers(0, 2, (n, 1))
         return np.concatenate(
             [rng.uniform(-0.15, 0.15, (n, 3)), rng.normal(size=(n, 3)) * 1.6, rng.uniform(0, 6, (n, 1)), speed], 1
         )
@@ -148,6 +148,18 @@ def test_help_is_paid_best(name, who):
     instant, person = Instant(name), None if who == "nobody's" else preference.preference()
     helps, other = (best(instant, person, wanted) for wanted in (True, False))
     assert helps > MARGIN * other > 0, (helps, other)
+
+
+@pytest.mark.parametrize(
+    ("speed", "force", "weights"),
+    [((0.03, 0.05), (1.0, 1.5), (0.5, 0.1, -0.1)), ((0.08, 0.2), (2.0, 5.0), (0.1, 0.6, -0.01))],
+    ids=["slow", "firm"],
+)
+def test_help_is_paid_best_at_the_ends_of_the_sweep(speed, force, weights):
+    """Who wants it slow and soft and cares how fast it is, and the other way round; where what pays is closest."""
+    instant, person = Instant("tooth_brushing"), preference.preference(speed, force, weights)
+    helps, other = (best(instant, person, wanted, 12_000, 45, 0.04) for wanted in (True, False))
+    assert helps > 1.02 * other > 0, (helps, other)
 
 
 def best_hovering(task, rows, state, number=3000, rounds=20):
