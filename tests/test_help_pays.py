@@ -1,4 +1,6 @@
-"""Reward and help agree in version 1: the best-paid behaviour helps, by 5 % over the best-paid one that does not.
+"""Reward and help agree in version 1: the best-paid behaviour helps, by 5 % over the best-paid one found that does not.
+
+In brushing with preferences a larger search, 20,000 points and 60 rounds, finds one that is 4 % behind.
 
 A search over instants: where the tool is and how turned, how hard it presses, how fast it moves, what was before.
 What helps is what the task's own outcome counts. Poses in which the tool would be inside the head are left out. In bed

@@ -195,14 +195,7 @@ def gap_ci(known: np.ndarray, strange: np.ndarray) -> Interval | None:
         squares, degrees = _mean_squares(x)
         if squares[1] > squares[2]:
             terms += [(squares[1] / x.size, degrees[1]), (-squares[2] / x.size, degrees[2])]
-    variance = sum(term for term, _ in terms)
-    if variance <= 0.0:
-        return None
-    freedom = variance**2 / sum(term**2 / degree for term, degree in terms)
-    # Below the least of its parts' it falls only where parts are taken from each other.
-    reach = student_t(max(freedom, min(degree for _, degree in terms))) * np.sqrt(variance)
-    gap = float(a.mean() - b.mean())
-    return gap - float(reach), gap + float(reach)
+    return _around(float(a.mean() - b.mean()), terms)
 
 
 def paired_ci(ours: np.ndarray, theirs: np.ndarray) -> Interval | None:
@@ -226,14 +219,19 @@ def paired_ci(ours: np.ndarray, theirs: np.ndarray) -> Interval | None:
             if partners > 1:
                 squares, degrees = _mean_squares(x)
                 terms.append((-squares[2] / x.size, degrees[2]))
-    whole = [(term, degree) for term, degree in terms if term > 0.0]
-    variance = max(sum(term for term, _ in terms), max((term for term, _ in whole), default=0.0))
+    # What is taken away may be more than there is: the largest part is left.
+    return _around(float(a.mean() - b.mean()), terms, max((term for term, _ in terms), default=0.0))
+
+
+def _around(centre: float, terms: Sequence[tuple[float, float]], least: float = 0.0) -> Interval | None:
+    """Student's interval with the sum of these (variance, degrees of freedom), or `least`; None without any spread."""
+    variance = max(sum(term for term, _ in terms), least)
     if variance <= 0.0:
         return None
     freedom = variance**2 / sum(term**2 / degree for term, degree in terms)
-    reach = student_t(max(freedom, min(degree for _, degree in whole))) * np.sqrt(variance)
-    difference = float(a.mean() - b.mean())
-    return difference - float(reach), difference + float(reach)
+    # Below the least of its parts' it falls only where parts are taken from each other.
+    reach = student_t(max(freedom, min(degree for _, degree in terms))) * float(np.sqrt(variance))
+    return centre - reach, centre + reach
 
 
 def _mean_squares(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -27,7 +27,7 @@ from assistax.settings import check_count
 from assistax.stamp import stamp
 from assistax.teamwork.adhoc import MEASURES, draws
 from assistax.teamwork.report import Meetings, meeting_env
-from assistax.teamwork.scores import FEWEST, Scale
+from assistax.teamwork.scores import Scale
 from assistax.teamwork.strangers import check_robots, check_strangers
 from assistax.training.population import Population
 from assistax.training.run import Run
@@ -174,7 +174,7 @@ def summarize_series(
     Args:
       seeds: what `Series` returned of each.
       truths: what is looked for in their memories, see `about`.
-      scale: of their returns, for a "score" beside the other measures, over the partners who are scored, if FEWEST are.
+      scale: of their returns, for a "score" beside the other measures, over those who are scored, if they are enough.
 
     Returns:
       by measure "by_episode", a mean for each episode of a row, and its "slope" with the 95 % interval "ci" for new
@@ -182,7 +182,7 @@ def summarize_series(
     """
     found: dict[str, Any] = {}
     by_episode = {name: np.stack([one[name].mean(1) for one in seeds]) for name in seeds[0].keys() & set(MEASURES)}
-    if scale is not None and scale.scored.sum() >= FEWEST:
+    if scale is not None and scale.enough:
         scores = scale(np.moveaxis(by_episode["return"], 1, -1))[..., scale.scored]
         by_episode["score"] = np.moveaxis(scores, -1, 1)
     for name, means in by_episode.items():  # [seeds, partners, in_a_row]

@@ -102,11 +102,9 @@ def report(
 def _check_once(methods: Mapping[str, Sequence[Run | Player]]) -> None:
     """A run given twice would count as two seeds that agree."""
     for name, robots in methods.items():
-        within = set()
-        for place in [one.folder.resolve() for one in robots if isinstance(one, Run)]:
-            if place in within:
-                raise UsageError(f"{place.name} is given twice as a robot of {name}; its seeds would count twice.")
-            within.add(place)
+        places = [one.folder.resolve() for one in robots if isinstance(one, Run)]
+        if twice := [place.name for place in places if places.count(place) > 1]:
+            raise UsageError(f"{twice[0]} is given twice as a robot of {name}; its seeds would count twice.")
 
 
 class Meetings:

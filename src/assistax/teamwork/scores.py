@@ -51,6 +51,11 @@ class Scale:
         """[partners] whether somebody who knows the partner is clearly better than who knows nobody."""
         return np.nan_to_num(self.one - self.zero, nan=-1.0) > LEAST * np.abs(np.nan_to_num(self.one))
 
+    @property
+    def enough(self) -> bool:
+        """Whether so many are scored that a mean over them is a score."""
+        return bool(self.scored.sum() >= FEWEST)
+
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """Scores of values [..., partners]; NaN for partners who are not scored."""
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -83,7 +88,7 @@ def by_pair(seeds: Sequence[Pairs], scales: Mapping[str, Scale] | None = None) -
     each, scales = [_gated(one) for one in seeds], scales or {}
     found = {name: np.stack([one[name].mean(1) for one in each]) for name in each[0]}
     for name, measure in SCORES.items():
-        if measure in scales and scales[measure].scored.sum() >= FEWEST:
+        if measure in scales and scales[measure].enough:
             found[name] = scales[measure](found[measure])
     for name, measure in REGRETS.items():
         if measure in scales:
@@ -112,7 +117,7 @@ def gap(known: Pairs, strange: Pairs) -> dict[str, Any]:
     for name in known.keys() & strange.keys():
         a, b = (x[:, _there(x)] for x in (known[name], strange[name]))
         if a.size and b.size:
-            found[name] = {"mean": float(a.mean() - b.mean()), "ci": _difference_bounds(name, gap_ci(a, b))}
+            found[name] = _less(name, a, b, gap_ci(a, b))
     return found
 
 
@@ -123,7 +128,7 @@ def difference(ours: Pairs, theirs: Pairs) -> dict[str, Any]:
         there = _there(ours[name]) & _there(theirs[name])
         if there.any():
             a, b = ours[name][:, there], theirs[name][:, there]
-            found[name] = {"mean": float(a.mean() - b.mean()), "ci": _difference_bounds(name, paired_ci(a, b))}
+            found[name] = _less(name, a, b, paired_ci(a, b))
     return found
 
 
@@ -154,9 +159,10 @@ def _measure(name: str, everybody: np.ndarray) -> dict[str, Any]:
     return {"mean": float(x.mean()), "ci": interval, "worst": float(worst.mean()), "by_pair": pairs}
 
 
-def _difference_bounds(name: str, interval: Interval | None) -> Interval | None:
+def _less(name: str, a: np.ndarray, b: np.ndarray, interval: Interval | None) -> dict[str, Any]:
+    """What `a` has on average more than `b`."""
     most = 1.0 if name in (*SHARES, "safe_regret") else np.inf
-    return _bounded(interval, -most, most)
+    return {"mean": float(a.mean() - b.mean()), "ci": _bounded(interval, -most, most)}
 
 
 def _bounded(interval: Interval | None, low: float, high: float) -> Interval | None:

@@ -55,19 +55,16 @@ def knows(run: Run, population: Population) -> list[bool]:
 
 def _met(run: Run, population: Population) -> list[bool]:
     partner = run.partners.get("human")
-    if partner is not None and partner.population is not None:
-        theirs, people = partner.population, []
-        habits, selves = {row.get("habit") for row in theirs.rows}, {self_of(row) for row in theirs.rows}
-        met = {_fingerprint(theirs.member(row)["human"]["actor"]) for row in theirs.rows if "habit" not in row}
-    else:
-        habits = {name for agent, name in map(split_pair, run.config.partners) if agent == "human"}
-        people = [partner.player] if partner is not None else [team["human"] for team in run.teams()]
-        met = {_fingerprint(actor) for person in people for actor in _actors(person)}
-        selves = set()
-        if partner is None:
-            selves = selves_of(run.config)
-        elif partner.trained is not None:
-            selves = selves_of(stored_config(partner.trained, f"the partner of {run.folder}"))
+    habits = {name for agent, name in map(split_pair, run.config.partners) if agent == "human"}
+    people = [partner.player] if partner is not None else [team["human"] for team in run.teams()]
+    met = {_fingerprint(actor) for person in people for actor in _actors(person)}
+    selves = set()
+    if partner is None:
+        selves = selves_of(run.config)
+    elif partner.population is not None:
+        selves = {self_of(row) for row in partner.population.rows}
+    elif partner.trained is not None:
+        selves = selves_of(stored_config(partner.trained, f"the partner of {run.folder}"))
     return [
         row["habit"] in habits or any(_is_habit(row["habit"], person) for person in people)
         if "habit" in row
