@@ -109,6 +109,25 @@ def test_full_action_for_a_second_keeps_joints_within_their_speeds(name, number)
     assert (fastest < [*most.values()]).all(), dict(zip(names, fastest.round(3), strict=True))
 
 
+def test_brakes_do_not_throw_a_joint_that_ran_into_its_stop():
+    """The worst of 300 episodes of `benchmarks/joint_speeds.py`: 4.0 of a limit with brakes of a largest torque."""
+    model = env_of("scratch").model
+    driven = env_of("scratch").spec.scene.human_driven
+    joints = scenes.qpos_ids(model, (*driven, *scenes.PANDA.joints))
+    limit = np.array([*(scenes.HUMAN_SPEED[joint] for joint in driven), *scenes.PANDA.speed])
+    full = np.array([*[1.0] * len(driven), *env_of("scratch").config.torque_scale * np.array(scenes.PANDA.torque)])
+    episodes = np.random.default_rng(21).choice([-1, 1], (191, 80, len(joints)))
+    data, fastest = mujoco.MjData(model), 0.0
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    for direction in episodes[190]:
+        data.ctrl[: len(joints)] = full * direction
+        for _ in range(50):
+            mujoco.mj_step(model, data)
+            fastest = np.maximum(fastest, np.abs(data.qvel[joints]) / limit)
+    assert (fastest < 1.5).all(), fastest.round(2)
+    assert (fastest > 1.2).any(), "it did not run into its stop"
+
+
 def test_an_engine_that_gets_the_brakes_wrong_is_refused():
     with pytest.raises(UsageError, match="mjx engine cannot keep scratch-v1 to its joint speeds"):
         assistax.make("scratch", engine="mjx")

@@ -52,9 +52,9 @@ SKIN = (0.01, 0.9, 0.01, 0.5, 2.0)  # solimp
 SKIN_FRICTION = 0.3
 SUPPORT = 0.005  # rad below rest: out of the way while nothing pushes
 BRAKE_FROM = 0.85  # of a joint's speed limit, from where its brakes grip
-# Of brakes: gain in s/rad and largest torque, both times the motor's torque, as others pull at the joint, too.
-ROBOT_BRAKE = (14.0, 12.0)
-HUMAN_BRAKE = (4.0, 4.0)  # limbs are light: stiffer, and they bounce
+# Gains of brakes, s/rad, times the motor's torque.
+ROBOT_BRAKE = 14.0
+HUMAN_BRAKE = 4.0  # limbs are light: stiffer, and they bounce
 
 
 @dataclass(frozen=True)
@@ -258,7 +258,8 @@ def _limit_speeds(spec, config):
 
     A brake's torque grows from nothing a little below the limit: what is left of the motor's fades out, and what
     is above the limit is braked. It never pushes, as its range ends at zero. So steep, it must be integrated
-    implicitly.
+    implicitly, and its range has no other end: an actuator at the end of its range is integrated explicitly, and such
+    a brake throws the joint to and fro.
     """
     arm = config.arm
     if not arm.speed:
@@ -266,13 +267,13 @@ def _limit_speeds(spec, config):
     limits = zip(arm.joints, arm.torque, arm.speed, strict=True)
     robot = [(name, torque, speed, ROBOT_BRAKE) for name, torque, speed in limits]
     human = [(name, HUMAN_TORQUE, HUMAN_SPEED[name], HUMAN_BRAKE) for name in config.human_driven]
-    for name, torque, speed, (gain, most) in robot + human:
+    for name, torque, speed, gain in robot + human:
         for end, sign in (("up", 1.0), ("down", -1.0)):
             brake = spec.add_actuator(name=f"brake_{end}_{name}", target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
             brake.gainprm[0], brake.biastype = 0.0, mujoco.mjtBias.mjBIAS_AFFINE
             brake.biasprm[:3] = sign * BRAKE_FROM * speed * gain * torque, 0.0, -gain * torque
             brake.forcelimited = True
-            brake.forcerange = (-most * torque, 0.0) if sign > 0 else (0.0, most * torque)
+            brake.forcerange = (-mujoco.mjMAXVAL, 0.0) if sign > 0 else (0.0, mujoco.mjMAXVAL)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
 
 
