@@ -55,8 +55,8 @@ def trained(monkeypatch):
 
 
 def command(*words):
-    """The command with these words."""
-    return assistax_command("teamwork", "best-responses", *map(str, words))
+    """The command with these words, in this process."""
+    return assistax_command("teamwork", "best-responses", *map(str, words), "--processes", "1")
 
 
 def test_each_partner_gets_a_robot_of_its_own_and_nothing_runs_twice(population, trained, tmp_path):

@@ -19,9 +19,10 @@ from commands import assistax
 from pages import DOCS
 from toy_jobs import LENGTH, jobs_of, steps_of
 
+from assistax.cli.common import find_executor
 from assistax.errors import UsageError
-from assistax.executors import claims, drive, slurm
-from assistax.executors.jobs import Job, failure, status, work
+from assistax.executors import claims, drive, local, slurm
+from assistax.executors.jobs import WORKER, Job, failure, status, work
 from assistax.executors.local import Local
 from assistax.executors.ray import Ray
 from assistax.executors.slurm import Slurm
@@ -34,11 +35,12 @@ TOYS = Path(__file__).with_name("toy_jobs.py")
 
 
 @pytest.fixture
-def toys(tmp_path, monkeypatch):
-    """(folder, eight jobs, command of a worker)."""
+def toys(request, tmp_path, monkeypatch):
+    """(folder, eight jobs or so many, command of a worker)."""
     monkeypatch.setattr(Local, "seconds", 0.05)
     monkeypatch.setattr(Slurm, "seconds", 0.05)
-    return tmp_path, jobs_of(tmp_path, 8), [sys.executable, str(TOYS), str(tmp_path), "8"]
+    count = getattr(request, "param", 8)
+    return tmp_path, jobs_of(tmp_path, count), [sys.executable, str(TOYS), str(tmp_path), str(count)]
 
 
 def finish(toys, using=None, workers=2):
@@ -77,13 +79,14 @@ def test_workers_share_a_list_and_do_each_job_once(using, toys):
     assert finish(toys, using) and claims.claims(toys[0] / "workers") == before  # nobody is started for nothing
 
 
-def test_workers_are_killed(toys):
-    """At random moments, six times; what they were doing goes on from its last step."""
-    folder, _, _ = toys
+@pytest.mark.parametrize(("toys", "times"), [(16, 6), pytest.param(60, 20, marks=pytest.mark.slow)], indirect=["toys"])
+def test_workers_are_killed(toys, times):
+    """At random moments; what they were doing goes on from its last step."""
+    folder, jobs, _ = toys
     chance, killed = random.Random(0), []
 
     def kill():
-        while len(killed) < 6 and driving:
+        while len(killed) < times and driving:
             time.sleep(chance.uniform(0.05, 0.3))
             if found := owners(folder):
                 killed.append(chance.choice(found))
@@ -98,22 +101,23 @@ def test_workers_are_killed(toys):
     finally:
         driving.clear()
         thread.join()
-    assert len(killed) >= 3
-    check_done_once(folder)
+    assert len(killed) == times
+    check_done_once(folder, len(jobs))
 
 
-def test_drivers_are_killed(toys):
+@pytest.mark.parametrize(("toys", "times"), [(8, 3), pytest.param(80, 20, marks=pytest.mark.slow)], indirect=["toys"])
+def test_drivers_are_killed(toys, times):
     """Their workers save and end; whoever comes next goes on."""
-    folder, _, command = toys
+    folder, jobs, command = toys
     chance = random.Random(1)
-    for _ in range(3):
+    for _ in range(times):
         driver = subprocess.Popen([*command, "local"], stderr=subprocess.DEVNULL)
         wait_for(lambda: len(owners(folder)) == 2)
         time.sleep(chance.uniform(0.0, 0.2))
         driver.kill()
         driver.wait()
     assert finish(toys)  # beside the workers of the last one, who have not noticed yet
-    check_done_once(folder)
+    check_done_once(folder, len(jobs))
 
 
 def test_one_that_is_preempted_saves_and_comes_back(toys):
@@ -272,6 +276,26 @@ def test_slurm_knows_its_partitions(monkeypatch):
     with pytest.raises(UsageError, match="cores must be 1 to 2, those of a node, not 3"):
         Slurm("main", cores=3).room(None, 1)
     assert Slurm("main,big", cores=64).room(None, 3) == 3
+
+
+def test_without_a_wish_processes_share_the_cores_but_on_an_accelerator_and_within_each_other(monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    assert isinstance(find_executor(None, None, ()), Local)
+    assert isinstance(find_executor(1, "local", ()), Local)
+    assert find_executor(1, None, ()) is find_executor(None, None, (), here=True) is None
+    monkeypatch.setattr("jax.default_backend", lambda: "gpu")
+    assert find_executor(None, None, ()) is None
+    monkeypatch.undo()
+    monkeypatch.setenv(WORKER, "1")
+    assert find_executor(None, None, ()) is None
+
+
+def test_without_a_wish_there_are_no_more_processes_than_memory_for_them(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: set(range(64)))
+    monkeypatch.setattr(local, "memory_gb", lambda: 17.0)
+    assert Local().room(None, 100) == 8
+    assert Local().room(None, 3) == 3
+    assert Local().room(64, 100) == 64
 
 
 def test_submitit_on_this_machine_has_no_more_workers_than_cores_unless_told():

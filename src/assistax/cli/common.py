@@ -1,6 +1,7 @@
 """What commands share: how arguments are written, who plays, how reports are printed."""
 
 import json
+import os
 import re
 import sys
 from pathlib import Path
@@ -100,16 +101,28 @@ def _teams_of(target: str, policy: str | None, engine: str | None, settings: dic
     return run.env, run.teams(), {"task": run.config.task, "run": target}
 
 
-def find_executor(processes: int | None, executor: str | None, assignments: tuple[str, ...]):
-    """The executor that is asked for, None where this process does the work; raises UsageError if it is not there."""
+def find_executor(processes: int | None, executor: str | None, assignments: tuple[str, ...], here: bool = False):
+    """The executor that is asked for, None where this process does the work; raises UsageError if it is not there.
+
+    Without a wish it is `local`, or with `here` this process.
+    """
     from assistax.executors.drive import executor as find
     from assistax.settings import parse_assignments
 
-    if executor is None and not assignments and processes in (None, 1):
+    if executor is None and not assignments and (processes == 1 or (processes is None and (here or _by_itself()))):
         return None
     using = find("local" if executor is None else executor, parse_assignments(assignments, "--executor-set"))
     using.room(processes, processes or 1)
     return using
+
+
+def _by_itself() -> bool:
+    """Whether processes beside this one would be in each other's way: on an accelerator, or as an executor has more."""
+    import jax
+
+    from assistax.executors.jobs import is_worker
+
+    return is_worker() or os.cpu_count() == 1 or jax.default_backend() != "cpu"
 
 
 def duration(text: str) -> float:

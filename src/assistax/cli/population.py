@@ -51,7 +51,7 @@ def train(
         none, as who is taught by one script would be like all others).
       set: change any setting of all trainings, for example ppo.gamma=0.98.
       resume: continue this population.
-      processes: so many trainings side by side (default 1 in this process; of an executor as many as fit).
+      processes: so many trainings side by side (default as many as there is room for; 1 is this process).
       executor: local (default; each process on cores of its own), slurm or ray; see docs/clusters.md.
       executor_set: settings of the executor, as cores=4; slurm has partition, cores, memory_gb, hours and options, ray
         address and cores, local cores.
@@ -64,7 +64,7 @@ def train(
 
     if (task is None) == (resume is None):
         raise UsageError("Name a task and --out to begin a population, or --resume POP to continue one.")
-    using = find_executor(processes, executor, executor_set)  # asked before anything is written
+    using = find_executor(processes, executor, executor_set, here=shard is not None)  # asked before anything is written
     if using is not None and shard is not None:
         raise UsageError("Processes share the work among themselves; leave out --shard.")
     part = _shard(shard)

@@ -45,7 +45,7 @@ def reproduce(
         raise UsageError(f"seeds must be 1 or more, not {seeds}.")
     seconds = None if budget is None else duration(budget)
     chosen = choose_experiments(only, seeds)
-    using = find_executor(processes, executor, executor_set)
+    using = find_executor(processes, executor, executor_set, here=True)
     if using is not None:
         if seconds is not None:
             raise UsageError("An executor does all that is missing; leave out --budget.")

@@ -69,7 +69,7 @@ def sweep(
       out: sweep folder (default runs/sweep-TASK-ALGORITHM-SEED, with a number if taken).
       side_by_side: trials that an accelerator trains at once (default: as many as there are seeds).
       resume: continue this sweep folder.
-      processes: so many trainings side by side, each on cores of its own (default: this process alone).
+      processes: so many trainings side by side (default as many as there is room for; 1 is this process).
       executor: local, slurm or ray, as in `assistax population train`.
       executor_set: its settings.
     """

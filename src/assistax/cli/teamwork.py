@@ -100,7 +100,7 @@ def best_responses(
       steps: of each training (default 5 million).
       set: change any setting of all trainings, for example ppo.gamma=0.98.
       resume: continue this folder.
-      processes: so many trainings side by side (default 1 in this process; of an executor as many as fit).
+      processes: so many trainings side by side (default as many as there is room for; 1 is this process).
       executor: local (default), slurm or ray; see docs/clusters.md.
       executor_set: settings of the executor, as in `assistax population train`.
     """

@@ -8,6 +8,9 @@ from pathlib import Path
 
 from assistax.errors import UsageError
 from assistax.executors.jobs import WORKER
+from assistax.stamp import memory_gb
+
+GB_EACH = 2.0  # of memory that a worker may come to need: trainings of the default preset have 1.4 at most
 
 
 def launch(command: Sequence[str], log: Path, variables: dict[str, str] | None = None) -> subprocess.Popen:
@@ -27,12 +30,12 @@ class Local:
     seconds = 0.5
 
     def room(self, workers: int | None, jobs: int) -> int:
-        """One worker for each core, or for so many `cores`, but no more than jobs."""
+        """One worker for each core, or for so many `cores`, but no more than there are jobs and memory for."""
         mine = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
         if not 0 <= self.cores <= len(mine):
             raise UsageError(f"cores must be 1 to {len(mine)}, those of this machine, not {self.cores}.")
         places = len(mine) // max(1, self.cores)
-        count = min(places, jobs) if workers is None else workers
+        count = min(places, max(1, int(memory_gb() / GB_EACH)), jobs) if workers is None else workers
         if not 1 <= count <= places:
             each = f" of {self.cores} cores each" if self.cores > 1 else ""
             raise UsageError(f"--processes must be 1 to {places}{each}, the cores of this machine, not {count}.")
