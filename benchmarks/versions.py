@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 import assistax
-from assistax.diagnostics.bench import bench
+from assistax.diagnostics.bench import OpenLoop
 from assistax.files import write_json
 from assistax.stamp import stamp
 from assistax.tasks import register_task, task_spec
@@ -29,20 +29,20 @@ def versions(task: str) -> dict[str, assistax.Env]:
     return {name: assistax.make(id, engine="mujoco") for name, id in ids.items()}
 
 
-def measure(task: str, num_envs: int, rounds: int, seconds: float) -> dict:
+def measure(task: str, num_envs: int, rounds: int) -> dict:
     """Of one task."""
-    envs = versions(task)
-    found = [{name: bench(env, num_envs, seconds) for name, env in envs.items()} for _ in range(rounds)]
+    loops = {name: OpenLoop(env, num_envs) for name, env in versions(task).items()}
+    found = [{name: loop.round() for name, loop in loops.items()} for _ in range(rounds)]
 
-    def values(of: str) -> dict[str, np.ndarray]:
-        return {name: np.array([row[name][of] for row in found]) for name in envs}
+    def rates(of: str) -> dict[str, np.ndarray]:
+        return {name: np.array([row[name][of] for row in found]) for name in loops}
 
-    env, engine, share = values("env_steps_per_s"), values("engine_steps_per_s"), values("env_over_engine")
+    env, engine = rates("env"), rates("engine")
     return {
-        "env_steps_per_s": {name: round(float(np.median(rates))) for name, rates in env.items()},
-        "env_of_v0": {name: _median(rates / env["v0"]) for name, rates in env.items()},
-        "engine_of_v0": {name: _median(rates / engine["v0"]) for name, rates in engine.items()},
-        "env_over_engine": {name: _median(shares) for name, shares in share.items()},
+        "env_steps_per_s": {name: round(float(np.median(x))) for name, x in env.items()},
+        "env_of_v0": {name: _median(x / env["v0"]) for name, x in env.items()},
+        "engine_of_v0": {name: _median(x / engine["v0"]) for name, x in engine.items()},
+        "env_over_engine": {name: _median(env[name] / x) for name, x in engine.items()},
     }
 
 
@@ -54,15 +54,14 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tasks", nargs="+", default=TASKS, choices=TASKS)
     parser.add_argument("--num-envs", type=int, default=1024)
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--seconds", type=float, default=4.0)
+    parser.add_argument("--rounds", type=int, default=31)
     parser.add_argument("--out", type=Path)
     chosen = parser.parse_args()
     found = {}
     for task in chosen.tasks:
-        found[task] = measure(task, chosen.num_envs, chosen.rounds, chosen.seconds)
+        found[task] = measure(task, chosen.num_envs, chosen.rounds)
         print(task, found[task], flush=True)
-    settings = {"num_envs": chosen.num_envs, "rounds": chosen.rounds, "seconds": chosen.seconds}
+    settings = {"num_envs": chosen.num_envs, "rounds": chosen.rounds}
     if chosen.out:
         write_json(chosen.out, {"tasks": found} | settings | stamp())
 

@@ -27,64 +27,15 @@ def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
         on the C engine that is `mujoco.batch.Batch.step` itself, without JAX.
       reset_share: the part of the step time that auto-reset takes.
     """
-    check_count("num_envs", num_envs)
     check_seconds(seconds)
-    check_environments(env, num_envs)
-    keys = jax.random.split(jax.random.key(0), num_envs)
-    began = time.perf_counter()
-    _, state = jax.block_until_ready(jax.jit(jax.vmap(env.reset))(keys))
-    started_s = time.perf_counter() - began
-
-    act = partial(random_actions, env, num_envs)
-
-    def with_reset(state, key):
-        actions = act(key)
-        obs, state, reward, _, _, info = jax.vmap(env.step)(jax.random.split(key, num_envs), state, actions)
-        return state, _used(obs, reward, info)
-
-    def without_reset(state, key):
-        actions = act(key)
-        obs, state, reward, _, _, info = jax.vmap(env.step_env)(jax.random.split(key, num_envs), state, actions)
-        return state, _used(obs, reward, info)
-
-    def engine_only(state, key):
-        ctrl = jax.vmap(env.motors.controls)(act(key))
-        physics = jax.vmap(env.engine.step)(state.physics, ctrl)
-        return dataclasses.replace(state, physics=physics), physics.fault.max()
-
-    steps = 20
-    programs = {"env": with_reset, "no_reset": without_reset}
-    if env.engine.name != "mujoco":
-        programs["engine"] = engine_only
-    rollouts = {name: _rollout(body, steps) for name, body in programs.items()}
-    compile_s = 0.0
-    for name, rollout in rollouts.items():
-        began = time.perf_counter()
-        compiled = rollout.lower(state, jax.random.key(0)).compile()
-        compile_s = time.perf_counter() - began if name == "env" else compile_s
-        rollouts[name] = compiled
-        jax.block_until_ready(compiled(state, jax.random.key(0)))
-    bare = _BareBatch(env, num_envs, steps) if env.engine.name == "mujoco" else None
-
-    rates: dict[str, list[float]] = {"env": [], "no_reset": [], "engine": []}
-    key, deadline = jax.random.key(1), time.perf_counter() + seconds
-    fault = 0
-    while time.perf_counter() < deadline or len(rates["env"]) < 3:
-        key, k = jax.random.split(key)
-        for name, rollout in rollouts.items():
-            began = time.perf_counter()
-            after, _ = jax.block_until_ready(rollout(state, k))
-            rates[name].append(num_envs * steps / (time.perf_counter() - began))
-            fault |= int(np.max(after.physics.fault))
-            if name == "env":
-                next_state = after
-        if bare:
-            rates["engine"].append(num_envs * steps / bare.time(state))
-        state = next_state
-    check_faults(fault, env.engine.name)
+    loop = OpenLoop(env, num_envs)
+    rounds, deadline = [], time.perf_counter() + seconds
+    while time.perf_counter() < deadline or len(rounds) < 3:
+        rounds.append(loop.round())
+    rates = {name: np.array([one[name] for one in rounds]) for name in rounds[0]}
     median = {name: float(np.median(values)) for name, values in rates.items()}
-    ratio = float(np.median(np.divide(rates["env"], rates["engine"])))
-    reset = float(np.median(1.0 - np.divide(rates["env"], rates["no_reset"])))
+    ratio = float(np.median(rates["env"] / rates["engine"]))
+    reset = float(np.median(1.0 - rates["env"] / rates["no_reset"]))
     return {
         "task": env.name,
         "engine": env.engine.name,
@@ -96,12 +47,71 @@ def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
         "reset_share": round(max(0.0, reset), 3),
         "physics_steps_per_s": round(median["env"] * env.engine.substeps),
         "simulated_seconds_per_s": round(median["env"] * env.dt, 1),
-        "compile_s": round(compile_s, 2),
-        "first_reset_s": round(started_s, 2),
+        "compile_s": round(loop.compile_s, 2),
+        "first_reset_s": round(loop.started_s, 2),
         "peak_memory_mb": round(peak_memory_mb()),
-        "rounds": len(rates["env"]),
+        "rounds": len(rounds),
         **stamp(),
     }
+
+
+class OpenLoop:
+    """Environments with random actions, beside the same without resets and beside their bare engine, compiled."""
+
+    def __init__(self, env: Env, num_envs: int):
+        check_count("num_envs", num_envs)
+        check_environments(env, num_envs)
+        self.env, self.num_envs, self.steps = env, num_envs, 20
+        keys = jax.random.split(jax.random.key(0), num_envs)
+        began = time.perf_counter()
+        _, self._state = jax.block_until_ready(jax.jit(jax.vmap(env.reset))(keys))
+        self.started_s = time.perf_counter() - began
+        self._key = jax.random.key(1)
+        self._bare = _BareBatch(env, num_envs, self.steps) if env.engine.name == "mujoco" else None
+        self._rollouts, self.compile_s = {}, 0.0
+        for name, body in self._bodies().items():
+            began = time.perf_counter()
+            compiled = _rollout(body, self.steps).lower(self._state, self._key).compile()
+            self.compile_s = time.perf_counter() - began if name == "env" else self.compile_s
+            jax.block_until_ready(compiled(self._state, jax.random.key(0)))
+            self._rollouts[name] = compiled
+
+    def round(self) -> dict[str, float]:
+        """Control steps/s of "env", "no_reset" and "engine", from the states in which the last round left them."""
+        self._key, key = jax.random.split(self._key)
+        count, state, rates = self.num_envs * self.steps, self._state, {}
+        for name, rollout in self._rollouts.items():
+            began = time.perf_counter()
+            after, _ = jax.block_until_ready(rollout(state, key))
+            rates[name] = count / (time.perf_counter() - began)
+            check_faults(int(np.max(after.physics.fault)), self.env.engine.name)
+            if name == "env":
+                self._state = after
+        if self._bare:
+            rates["engine"] = count / self._bare.time(state)
+        return rates
+
+    def _bodies(self):
+        env, num_envs = self.env, self.num_envs
+        act = partial(random_actions, env, num_envs)
+
+        def with_reset(state, key):
+            actions = act(key)
+            obs, state, reward, _, _, info = jax.vmap(env.step)(jax.random.split(key, num_envs), state, actions)
+            return state, _used(obs, reward, info)
+
+        def without_reset(state, key):
+            actions = act(key)
+            obs, state, reward, _, _, info = jax.vmap(env.step_env)(jax.random.split(key, num_envs), state, actions)
+            return state, _used(obs, reward, info)
+
+        def engine_only(state, key):
+            ctrl = jax.vmap(env.motors.controls)(act(key))
+            physics = jax.vmap(env.engine.step)(state.physics, ctrl)
+            return dataclasses.replace(state, physics=physics), physics.fault.max()
+
+        bodies = {"env": with_reset, "no_reset": without_reset}
+        return bodies if env.engine.name == "mujoco" else bodies | {"engine": engine_only}
 
 
 def random_actions(env: Env, num_envs: int, key: jax.Array) -> dict[str, jax.Array]:
