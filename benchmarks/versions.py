@@ -2,7 +2,8 @@
 
 taskset -c 0 uv run python benchmarks/versions.py --out results/bench/versions/one_core.json
 
-The three take turns. A rate is that of the fastest round, as whatever else the machine does can only make it slower.
+The three take turns in short rounds. A rate is that of the fastest, as whatever else the machine does only makes it
+slower.
 "env" is the whole environment, "engine" physics alone.
 """
 
@@ -29,7 +30,7 @@ def versions(task: str) -> dict[str, assistax.Env]:
 
 def measure(task: str, num_envs: int, rounds: int) -> dict:
     """Of one task."""
-    loops = {name: OpenLoop(env, num_envs) for name, env in versions(task).items()}
+    loops = {name: OpenLoop(env, num_envs, steps=4) for name, env in versions(task).items()}
     found = [{name: loop.round() for name, loop in loops.items()} for _ in range(rounds)]
 
     env, engine = ({name: max(row[name][of] for row in found) for name in loops} for of in ("env", "engine"))
@@ -45,7 +46,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tasks", nargs="+", default=TASKS, choices=TASKS)
     parser.add_argument("--num-envs", type=int, default=256)
-    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--rounds", type=int, default=100)
     parser.add_argument("--out", type=Path)
     chosen = parser.parse_args()
     found = {}

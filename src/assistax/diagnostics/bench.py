@@ -58,10 +58,10 @@ def bench(env: Env, num_envs: int, seconds: float = 10.0) -> dict[str, Any]:
 class OpenLoop:
     """Environments with random actions, beside the same without resets and beside their bare engine, compiled."""
 
-    def __init__(self, env: Env, num_envs: int):
+    def __init__(self, env: Env, num_envs: int, steps: int = 20):
         check_count("num_envs", num_envs)
         check_environments(env, num_envs)
-        self.env, self.num_envs, self.steps = env, num_envs, 20
+        self.env, self.num_envs, self.steps = env, num_envs, steps  # steps of a round
         keys = jax.random.split(jax.random.key(0), num_envs)
         began = time.perf_counter()
         _, self._state = jax.block_until_ready(jax.jit(jax.vmap(env.reset))(keys))
