@@ -20,10 +20,10 @@ def kept(monkeypatch):
     texts, plainly = [], programs._program
 
     def noted(fn, donate, args):
-        program, numbers, shapes = plainly(fn, donate, args)
+        program, numbers, out = plainly(fn, donate, args)
         rest = [arg for i, arg in enumerate(args) if i != donate]
         texts.append(program.lower(None if donate is None else args[donate], rest, numbers).as_text())
-        return program, numbers, shapes
+        return program, numbers, out
 
     monkeypatch.setattr(programs, "_program", noted)
     return texts
@@ -52,27 +52,6 @@ def test_what_is_donated_is_used_up_and_nothing_else(place):
     np.testing.assert_array_equal(out, np.full(1000, 5.0))
     assert [arg.is_deleted() for arg in args] == [place == i for i in (0, 1)]
     assert not more.is_deleted()
-
-
-def test_compiled_ahead_it_is_the_same_program_and_made_once(kept):
-    table = jnp.arange(6.0)
-
-    def start(key):
-        return {"a": jax.random.normal(key, 6), "b": jnp.full((), 2.0), "key": key}
-
-    def step(state, x):
-        return state | {"a": state["a"] + x * table, "b": state["b"] * 2.0}, {"sum": state["a"].sum()}
-
-    def two_steps(of):
-        state, _ = of(start(jax.random.key(0)), jnp.int32(3))
-        return of(state, jnp.int32(2))[1]["sum"]
-
-    early = programs.jit(step, donate=0)
-    state, log = early.ahead(jax.eval_shape(start, jax.random.key(0)), jax.ShapeDtypeStruct((), jnp.int32))
-    assert state["a"].shape == (6,) and log["sum"].shape == () and len(kept) == 1
-    assert two_steps(early) == two_steps(step) and len(kept) == 1
-    with pytest.raises(TypeError, match="positional"):
-        programs.jit(step).ahead(state)  # at once, not when it is called
 
 
 def programs_of(human, kept):

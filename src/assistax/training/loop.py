@@ -74,7 +74,6 @@ class _Training:
     ):
         self.run, self.stop, self.log, self.bar, self.pictures = run, stop, log, bar, pictures
         self.trainer, self.seeds, self.engine = run.trainer, run.seeds, run.env.engine
-        self.collect, self.improve = self.seeds.jit(self.trainer.collect), self.seeds.jit(self.trainer.improve)
         self.evaluator = Evaluator(run.env, run.config.evaluation_episodes)
         self.evaluated: set[int] = set()  # iterations; a run that is prolonged had other ones before than it has now
         self.loggers = Loggers((), run.folder, self.seeds.seeds, 0, {})  # nobody yet
@@ -88,6 +87,7 @@ class _Training:
 
     def _go_on(self, state: Any, done: int) -> dict[str, Any] | None:
         run, per_iteration = self.run, self.run.steps_per_iteration
+        collect, improve = self.seeds.jit(self.trainer.collect), self.seeds.jit(self.trainer.improve)
         total = run.iterations * per_iteration * run.config.num_seeds
         collecting = "policy" if self.engine.name == "mujoco" else "collect"  # others are part of the same program
         saved = time.monotonic()
@@ -104,7 +104,7 @@ class _Training:
             while not leave:
                 before = self.engine.seconds
                 with self.clock(collecting):
-                    state, batch = jax.block_until_ready(self.collect(state))
+                    state, batch = jax.block_until_ready(collect(state))
                 self.clock.move(collecting, "physics", self.engine.seconds - before)
                 if done == began and self.stop.signalled:
                     return None  # nothing is lost yet, and the rest of the iteration has to be compiled
@@ -112,7 +112,7 @@ class _Training:
                 for one in batches:
                     check_faults(one["log"]["fault"], self.engine.name)
                 with self.clock("update"):
-                    state, losses = jax.block_until_ready(self.improve(state, batch))
+                    state, losses = jax.block_until_ready(improve(state, batch))
                 done += 1
                 rows = self._rows(done, [one["log"] for one in batches], self.seeds.each(losses))
                 self.metrics.write(rows)
@@ -148,7 +148,7 @@ class _Training:
             run.write_config()
             for name in ("metrics", "evaluations"):  # of what a crash has left of a first line
                 journal.keep(run.folder, name, 0)
-            self._compile()
+            print(_COMPILING, file=sys.stderr)
             return self.seeds.init(run.init), 0, Clock({})
         about = check_checkpoint(path, run.config)
         _check_settings(run, about.get("settings", {}), path.name)
@@ -164,7 +164,7 @@ class _Training:
                 f"{run.folder} has been trained for {about['steps']} steps, which is more than --steps "
                 f"{run.config.steps}; name more steps, or leave --steps out."
             )
-        self._compile()
+        print(_COMPILING, file=sys.stderr)
         state = self.seeds.split(pieces.load(path, self.seeds.like(self.trainer.init)))
         run.write_config(about["steps"])
         for name in ("metrics", "evaluations"):
@@ -173,14 +173,6 @@ class _Training:
             if gap:
                 print(f"{run.folder}/{name}.jsonl lacks {gap} rows; curves have a gap there.", file=sys.stderr)
         return state, done, Clock(about["seconds"])
-
-    def _compile(self) -> None:
-        """Begin with it: what an iteration needs is compiled side by side, and beside the beginning of the state."""
-        print(_COMPILING, file=sys.stderr)
-        if self.run.config.devices == 1:  # several are known to this thread alone
-            state = self.seeds.shapes(self.trainer.init)
-            _, batch = self.collect.ahead(state)
-            self.improve.ahead(state, batch)
 
     def _missing(self, done: int) -> dict[str, int]:
         """By file, the rows that are not there."""

@@ -34,11 +34,8 @@ class Lanes:
         """`fn(state, ...)`, which returns two things, for all lanes; the state that it is given is used up."""
         if self._side_by_side:
             return programs.jit(jax.vmap(fn), donate=0)
-        return _InTurns(programs.jit(fn, donate=0))
-
-    def shapes(self, fn, *lists) -> Any:
-        """Of the state `start(fn)(*lists)`, as the `ahead` of what `jit` makes takes it."""
-        return Lanes.like(self, fn, *lists) if self._side_by_side else jax.eval_shape(fn, *(one[0] for one in lists))
+        fn = programs.jit(fn, donate=0)
+        return lambda *args: tuple(map(list, zip(*(fn(*one) for one in zip(*args, strict=True)), strict=True)))
 
     def like(self, fn, *lists) -> Any:
         """Shapes of what a checkpoint of `start(fn)(*lists)` holds: a leading axis of lanes."""
@@ -57,16 +54,6 @@ class Lanes:
         if self._side_by_side:
             return jax.tree.map(lambda x: x.whole() if isinstance(x, Joined) else x, joined)
         return _unstack(joined, self.count)
-
-
-class _InTurns:
-    """A program of one lane for lists [count] of its arguments."""
-
-    def __init__(self, program: programs.Programs):
-        self._program, self.ahead = program, program.ahead
-
-    def __call__(self, *args):
-        return tuple(map(list, zip(*(self._program(*one) for one in zip(*args, strict=True)), strict=True)))
 
 
 class Joined:
@@ -98,9 +85,6 @@ class Seeds(Lanes):
 
     def like(self, fn, *lists) -> Any:
         return super().like(fn, self._keys, *lists)
-
-    def shapes(self, fn, *lists) -> Any:
-        return super().shapes(fn, self._keys, *lists)
 
 
 def _unstack(tree: Any, count: int) -> list:
