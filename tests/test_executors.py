@@ -279,14 +279,17 @@ def test_slurm_knows_its_partitions(monkeypatch):
 
 
 def test_without_a_wish_processes_share_the_cores_but_on_an_accelerator_and_within_each_other(monkeypatch):
-    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(2))
     assert isinstance(find_executor(None, None, ()), Local)
     assert isinstance(find_executor(1, "local", ()), Local)
     assert find_executor(1, None, ()) is find_executor(None, None, (), here=True) is None
     monkeypatch.setattr("jax.default_backend", lambda: "gpu")
     assert find_executor(None, None, ()) is None
-    monkeypatch.undo()
+    monkeypatch.setattr("jax.default_backend", lambda: "cpu")
     monkeypatch.setenv(WORKER, "1")
+    assert find_executor(None, None, ()) is None
+    monkeypatch.delenv(WORKER)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: range(1))
     assert find_executor(None, None, ()) is None
 
 
@@ -322,4 +325,4 @@ def test_the_commands_of_the_page_are_commands(tmp_path, monkeypatch):
         assistax(*command[1:])
         shutil.rmtree("populations", ignore_errors=True)
     assert len(trained) == len(commands) == 8
-    assert {type(args[1]) for args in trained} == {tuple, Local, Slurm, Ray, Run}
+    assert {type(args[1]) for args in trained} == {Local, Slurm, Ray, Run}

@@ -1,7 +1,6 @@
 """What commands share: how arguments are written, who plays, how reports are printed."""
 
 import json
-import os
 import re
 import sys
 from pathlib import Path
@@ -121,8 +120,9 @@ def _by_itself() -> bool:
     import jax
 
     from assistax.executors.jobs import is_worker
+    from assistax.executors.local import usable_cores
 
-    return is_worker() or os.cpu_count() == 1 or jax.default_backend() != "cpu"
+    return is_worker() or len(usable_cores()) == 1 or jax.default_backend() != "cpu"
 
 
 def duration(text: str) -> float:

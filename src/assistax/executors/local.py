@@ -13,6 +13,11 @@ from assistax.stamp import memory_gb
 GB_EACH = 2.0  # of memory that a worker may come to need: trainings of the default preset have 1.4 at most
 
 
+def usable_cores() -> list[int]:
+    """Those that this process may run on."""
+    return sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+
+
 def launch(command: Sequence[str], log: Path, variables: dict[str, str] | None = None) -> subprocess.Popen:
     """A worker as a process of this one, out of reach of its terminal; it saves and ends when this one is gone."""
     environment = os.environ | (variables or {}) | {WORKER: str(os.getpid())}
@@ -31,7 +36,7 @@ class Local:
 
     def room(self, workers: int | None, jobs: int) -> int:
         """One worker for each core, or for so many `cores`, but no more than there are jobs and memory for."""
-        mine = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else list(range(os.cpu_count() or 1))
+        mine = usable_cores()
         if not 0 <= self.cores <= len(mine):
             raise UsageError(f"cores must be 1 to {len(mine)}, those of this machine, not {self.cores}.")
         places = len(mine) // max(1, self.cores)
