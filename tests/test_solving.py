@@ -87,7 +87,7 @@ def test_a_model_of_the_partner_tells_who_it_is(code):
 def test_who_met_earlier_selves_works_with_a_beginner(earlier):
     """Fictitious co-play, see Stranger: people play 1 when they have learned, and less before; a new one plays -0.7.
 
-    Who saw only the skilled one knows of nothing but 1.
+    Who saw only the skilled one knows of nothing but 1. Of twelve keys those have 0.89 to 0.98, and these 0.48 to 0.76.
     """
     players = [Player.of(Constant(), *(jnp.full(1, x) for x in played)) for played in ((1.0, 0.3, -0.4, -1.0), (1.0,))]
     quick = {"num_steps": 20, "num_minibatches": 2, "hidden": (8,), "entropy_coef": 0.0, "gamma": 0.5}
@@ -97,7 +97,7 @@ def test_who_met_earlier_selves_works_with_a_beginner(earlier):
     params = ppo.policy_params(state)["robot"]
     action, _ = policy.act(params, policy.initial_carry(), seen, jnp.bool_(False), jax.random.key(0))
     reward = 1.0 - float((action[0] + 0.7) ** 2)
-    assert reward > 0.9 if earlier else reward < 0.75, reward
+    assert (reward > 0.82) == earlier, reward
 
 
 def test_a_critic_that_knows_who_plays_explains_what_they_bring_along():
