@@ -128,7 +128,8 @@ def test_the_list_begins_with_five_seeds_of_every_task():
     assert sum("-2M-" in name for name in names[:25]) == 15
     assert {name[-1] for name in names[:25]} == set("01234")
     for pattern, count in {
-        "still": 15,
+        "-still-": 15,
+        "-keeps_still-": 2,
         "-preferences-10M-": 3 + 20,
         "-preferences-4M-": 9,
         "version1/feeding-ippo-default-tremor-": 1,

@@ -74,6 +74,20 @@ def test_the_shy_draw_back_from_a_fast_tool_that_is_near(moment):
     np.testing.assert_allclose(moment(dataclasses.replace(near, near=0.0), speed=0.3)[0], offered, atol=1e-6)
 
 
+def test_who_keeps_still_resists_like_springs_and_dampers(env):
+    """60, 60 and 25 N m/rad, 4, 4 and 1 N m s/rad, of 10 N m."""
+    keeper = person(env, "keeps_still")
+    params = jax.tree.map(lambda x: x[0], keeper.params)
+    _, state = jax.jit(env.reset)(jax.random.key(4))
+    ids = scenes.qpos_ids(env.model, env.spec.scene.human_driven)
+    moved = {"qpos": jnp.asarray(env.model.key("start").qpos, jnp.float32).at[ids].add(jnp.array([0.02, -0.05, 0.3]))}
+    moved["qvel"] = jnp.zeros(env.model.nv).at[ids].set(jnp.array([0.1, 0.5, 3.0]))
+    state = dataclasses.replace(state, physics=dataclasses.replace(state.physics, **moved))
+    carry = keeper.policy.initial_carry()
+    action, _ = keeper.policy.act(params, carry, state, jnp.bool_(False), jax.random.key(1))
+    np.testing.assert_allclose(action, [-(60 * 0.02 + 4 * 0.1) / 10, (60 * 0.05 - 4 * 0.5) / 10, -1.0], atol=1e-5)
+
+
 def test_vigour_and_noise(moment):
     follower = Habit(offers=0.0, follows=-1.0, vigour=0.2)
     action, *_, back = moment(follower)

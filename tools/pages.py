@@ -203,8 +203,22 @@ for its own implementation on an A100 with 1024 environments. An environment ste
 
 {others}
 
-Several trainings at once go faster with a core each, on Linux `taskset -c 0 uv run assistax train …`: two of 10 M steps
-side by side took 26 minutes, where one with both cores takes 17 (measured once, not kept).
+## Processes and cores
+
+Steps/s of IPPO without evaluations, of all processes together, medians (`benchmarks/executors.py`,
+`results/bench/executors`):
+
+{cores}
+
+What more cores would give was not measured. By these numbers it is the following, if of one process's time for a step a
+part does not get shorter with more cores (Amdahl's law), and processes with a core each share nothing. So a list of
+trainings is shared between a process for each core, unless you say otherwise.
+
+{predicted}
+
+Sixteen trainings of {jobs_steps} steps, the whole command from an empty cache of compiled programs:
+
+{jobs}
 
 ## What version 1 costs
 
@@ -270,8 +284,46 @@ def speed(folder: Path, pictures: Path) -> str:
         "others": markdown(head, others),
         "stages": _stages(folder / "profile" / f"{TWO_CORES}.json"),
         "versions": _versions(folder / "versions/one_core.json"),
+        **_arrangements(folder / "executors/two_cores.json"),
     }
     return SPEED_PAGE.format(**parts)
+
+
+MORE_CORES = (4, 8, 16, 64)
+
+
+def _arrangements(path: Path) -> dict[str, str]:
+    """Tables: "cores" of steps/s by arrangement, "predicted" of those of more cores, "jobs" of 16 trainings."""
+    found = json.loads(path.read_text())
+    medians = {task: {how: float(np.median(x)) for how, x in rates.items()} for task, rates in found["cores"].items()}
+    names = next(iter(medians.values()))
+    cores = [[name, *(f"{rates[name]:,.0f}" for rates in medians.values())] for name in names]
+    more = {task: [_more(rates, count) for count in MORE_CORES] for task, rates in medians.items()}
+    predicted = [
+        [str(count), *(f"{x:,.0f}" for rates in more.values() for x in rates[i])] for i, count in enumerate(MORE_CORES)
+    ]
+    ((task, jobs),) = found["jobs"].items()
+    rows = [
+        [name, f"{one['seconds']:.0f}", f"{jobs['here']['seconds'] / one['seconds']:.2f}", str(one["programs"])]
+        for name, one in jobs.items()
+    ]
+    ways = ("one process", "a process for each core")
+    return {
+        "cores": markdown(["arrangement", *medians], cores),
+        "predicted": markdown(["cores", *(f"{task}, {way}" for task in medians for way in ways)], predicted),
+        "jobs_steps": f"{found['steps']:,}",
+        "jobs": markdown([f"{task}, by", "s", "of the first one's rate", "programs compiled"], rows),
+    }
+
+
+def _more(rates: dict[str, float], count: int) -> tuple[float, float]:
+    """Steps/s on so many cores of one process and of one for each, from `benchmarks/executors.py` on two cores.
+
+    With more cores only a part of one process's time for a step is shared between them.
+    """
+    two, one, pinned = list(rates.values())[:3]
+    shared = min(2 * (1 / one - 1 / two), 1 / one)
+    return 1 / (1 / one - shared + shared / count), count * pinned / 2
 
 
 def _versions(path: Path) -> str:

@@ -28,14 +28,16 @@ STEPS = {"default": 10_000_000, "paper": 40_000_000}  # of PPO by preset; ours t
 # ... but of version 1, where teachers help; the second with preferences.
 TAUGHT = dict.fromkeys(TASKS, 2_000_000) | {"scratch": 6_000_000, "bed_bath": 6_000_000}
 VARIED = dict.fromkeys(TASKS, 4_000_000) | {"scratch": STEPS["default"], "bed_bath": 6_000_000}
+UNHELPED = TAUGHT | {"arm_assist": 4_000_000}  # a robot alone does not lift the arm in 2 M
 NEED_TWO = ("scratch", "bed_bath")
 ALONE = "-untaught"  # what are the teachers worth?
 SAC_STEPS = {"default": 3_000_000, "paper": 6_000_000}
-STILL = "-still"  # the robot learns beside a person who does nothing: what is the person's help worth?
+# The robot learns beside a person who does nothing, or who resists what is done: what is the person's help worth?
+STILL = ("-still", "-keeps_still")
 # Who the person is and how it begins to learn, by suffix of the experiment's name.
 PEOPLE: dict[str, dict[str, Any]] = {
     "": {},
-    STILL: {},
+    **{people: {} for people in STILL},
     ALONE: UNTAUGHT,
     "-preferences": {"env.human.preference": "sweep"},
     **{f"-{name}": {"env.human.disability": name} for name in DISABILITIES},
@@ -126,7 +128,7 @@ class Training:
         if not (work / "config.json").exists():
             algorithm, _, memory = self.algorithm.partition("-")
             choices: dict[str, Any] = {"algorithm": algorithm, "recurrent": bool(memory), "preset": self.preset}
-            choices |= {"partners": ("human=still",)} if self.people == STILL else {}
+            choices |= {"partners": (f"human={self.people[1:]}",)} if self.people in STILL else {}
             settings = PEOPLE[self.people] | {"evaluations": min(40, max(10, self.steps // 500_000))}
             task = f"{self.task}-v{self.version}"
             Run.create(configure(task, settings, steps=self.steps, seed=self.seed, **choices), work)
@@ -230,7 +232,7 @@ def _trainings(
         if algorithm == "masac":
             return SAC_STEPS[preset]
         if (version, preset) == (1, "default"):
-            return (VARIED if people == "-preferences" else TAUGHT)[task]
+            return (VARIED if people == "-preferences" else UNHELPED if people in STILL else TAUGHT)[task]
         return STEPS[preset]
 
     for seed in range(seeds):
@@ -254,7 +256,8 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     yield from _robots("scratch-v1", "taught", 8_000_000, seeds)  # at 4 M they have 60 % and are still rising
     yield from _robots("feeding-v1", "random", 2_000_000, seeds, (*SEVERAL, *HIDDEN))
     yield from _robots("feeding-v1", "extreme", 2_000_000, seeds, ("best-response", "sac"))
-    yield from _trainings("ippo", "default", STILL, seeds or 3)
+    yield from _trainings("ippo", "default", "-still", seeds or 3)
+    yield from _trainings("ippo", "default", "-keeps_still", seeds or 1, tasks=NEED_TWO)
     yield from _trainings("mappo", "default", "", seeds or 3)
     for name in DISABILITIES:
         yield from _trainings("ippo", "default", f"-{name}", seeds or 1, tasks=some[1:])

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax.errors import choose
-from assistax.policies.people import Reflex, offer
+from assistax.policies.people import Muscles, Reflex, offer
 from assistax.policies.player import Player, stack
 
 
@@ -22,6 +22,7 @@ class Habit:
     offers: float = 1.0  # how much of the movement that offers what is worked on they make, 0 to 1
     way: float = 0.0  # in which of the ways that there are in the task, see `people.Offer`
     follows: float = 0.0  # the force toward the tool, as a part of Reflex.pull; below 0: away from it
+    keeps: float = 0.0  # how much of what keeps the posture of rest against a push they do, 0 to 1
     speed: float = 1.5  # rad/s, of the movement that offers
     delay: float = 0.0  # s, until they do anything
     work: float = 100.0  # s, after which they rest ...
@@ -34,6 +35,7 @@ class Habit:
 
 HABITS = {
     "still": Habit(offers=0.0),
+    "keeps_still": Habit(offers=0.0, keeps=1.0),
     "random": Habit(offers=0.0, noise=1.0),
     "offers": Habit(),
     "offers_slowly": Habit(speed=0.3),
@@ -61,7 +63,7 @@ class Habits:
 
     def __init__(self, env):
         self.env = env
-        self._offer, self._reflex = offer(env), Reflex(env, 1.0)
+        self._offer, self._reflex, self._muscles = offer(env), Reflex(env, 1.0), Muscles(env)
         self._size = env.action_sizes["human"]
 
     def initial_carry(self):
@@ -78,7 +80,8 @@ class Habits:
         since = seconds - habit["delay"]
         awake = (since >= 0.0) & (since % (habit["work"] + habit["rest"]) < habit["work"])
         following = jnp.where(habit["follows"] == 0.0, 0.0, self._reflex.moving(state, habit["follows"]))
-        helping = awake * habit["vigour"] * (habit["offers"] * offered + following)
+        kept = habit["keeps"] * self._muscles.toward(self._muscles.rest, state.physics)
+        helping = awake * habit["vigour"] * (habit["offers"] * offered + following + kept)
         noise = habit["noise"] * jax.random.uniform(key, (self._size,), minval=-1.0, maxval=1.0)
         action = jnp.where(afraid, self._reflex.moving(state, -1.0), helping) + noise
         return jnp.clip(action, -1.0, 1.0), {"steps": steps + 1, "offer": own}

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -51,6 +51,26 @@ class Reflex:
         return jnp.clip(torque / self._full, -1.0, 1.0)
 
 
+class Muscles:
+    """What brings the joints that a person drives to a posture and keeps them there: springs with dampers."""
+
+    # By joint, N m/rad and N m s/rad.
+    springs: ClassVar = {"neck": (25.0, 4.0), "trunk": (60.0, 4.0), "shoulder": (60.0, 4.0), "elbow": (25.0, 1.0)}
+
+    def __init__(self, env):
+        scene = env.spec.scene
+        found = [next(spring for part, spring in self.springs.items() if part in name) for name in scene.human_driven]
+        self._stiffness, self._damping = jnp.array(found).T
+        self._ids = scenes.qpos_ids(env.model, scene.human_driven)
+        self._full = scenes.HUMAN_TORQUE * scene.human_strength
+        self.rest = jnp.asarray(env.model.key("start").qpos[self._ids], jnp.float32)
+
+    def toward(self, posture, physics):
+        """The action toward a posture [driven] rad."""
+        torque = self._stiffness * (posture - physics.qpos[self._ids]) - self._damping * physics.qvel[self._ids]
+        return jnp.clip(torque / self._full, -1.0, 1.0)
+
+
 class Offer:
     """A person who moves into a posture in which the robot can reach what it is to work on, and holds it.
 
@@ -59,16 +79,11 @@ class Offer:
 
     privileged = True
     ways = 1
-    stiffness: Any = (60.0, 60.0, 25.0)  # N m/rad
-    damping: Any = (4.0, 4.0, 1.0)  # N m s/rad
 
     def __init__(self, env, speed: float = 1.5):
         """`speed` in rad/s: how fast the person moves from one posture to the next, unless the parameters say."""
-        scene = env.spec.scene
-        self.env, self._ids = env, scenes.qpos_ids(env.model, scene.human_driven)
-        self._full = scenes.HUMAN_TORQUE * scene.human_strength
-        self.rest = jnp.asarray(env.model.key("start").qpos[self._ids], jnp.float32)
-        self._speed = speed
+        self.env, self._muscles, self._speed = env, Muscles(env), speed
+        self.rest = self._muscles.rest
 
     def initial_carry(self) -> Any:
         return {"aim": self.rest}
@@ -84,10 +99,8 @@ class Offer:
         missing = posture - carry["aim"]
         step = params["speed"] * self.env.dt
         aim = carry["aim"] + missing * jnp.minimum(1.0, step / jnp.maximum(jnp.abs(missing).max(), 1e-6))
-        qpos, qvel = state.physics.qpos[self._ids], state.physics.qvel[self._ids]
-        torque = jnp.array(self.stiffness) * (aim - qpos) - jnp.array(self.damping) * qvel
         resting = jnp.abs(aim - self.rest).max() < 1e-3  # on the furniture, with loose muscles
-        return jnp.where(resting, 0.0, jnp.clip(torque / self._full, -1.0, 1.0)), carry | {"aim": aim}
+        return jnp.where(resting, 0.0, self._muscles.toward(aim, state.physics)), carry | {"aim": aim}
 
 
 class OfferItch(Offer):
@@ -135,9 +148,6 @@ class OfferFace(Offer):
     """Turns the face toward where the robot stands, and holds it level."""
 
     turns = (0.5, 0.0, 1.0)  # of what it would take to look at the robot: the ways
-
-    stiffness = (25.0, 25.0)
-    damping = (4.0, 4.0)
 
     def __init__(self, env, speed: float = 1.5):
         super().__init__(env, speed)
