@@ -252,6 +252,7 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     """All of them, what matters most first; `seeds` of each training, or as many as are planned of it."""
     some = ("scratch", "arm_assist", "feeding")
     yield from _trainings("ippo", "default", "", seeds or 5)
+    yield from _trainings("ippo", "default", "", seeds or 5, STEPS["default"], tasks=("bed_bath",))  # better still
     yield from _trainings("ippo", "default", "-preferences", seeds or 3)
     yield from _robots("scratch-v1", "taught", 8_000_000, seeds)  # at 4 M they have 60 % and are still rising
     yield from _robots("feeding-v1", "random", 2_000_000, seeds, (*SEVERAL, *HIDDEN))
