@@ -1,4 +1,4 @@
-"""Instants of version 1: sensors as MuJoCo has them in float64, and what a task makes of a row of them."""
+"""Instants of the newest versions: sensors as MuJoCo has them in float64, and what a task makes of a row of them."""
 
 from functools import cache
 
@@ -15,7 +15,7 @@ DT = 0.008  # s
 
 @cache
 def env_of(name):
-    return assistax.make(f"{name}-v1", engine="mujoco", episode_length=20)
+    return assistax.make(name, engine="mujoco", episode_length=20)
 
 
 def sensors(env, poses, velocities, forces=None):

@@ -1,4 +1,4 @@
-"""Version 1 of every task against NumPy in float64 on MuJoCo's own MjData, at every step of whole rollouts.
+"""The versions of every task from 1 on against NumPy in float64 on MuJoCo's own MjData, at every step of rollouts.
 
 What a step makes of the state before it: observations of the task, reward terms, those of preferences too, what is
 booked as help, force by region of the body, harm and cost. Where an episode starts is tested elsewhere, so that all of
@@ -22,6 +22,7 @@ from assistax import scenes
 from assistax.human import harm
 from assistax.learning.partners import act_as_members
 from assistax.policies.scripted import scripted_team
+from assistax.tasks import task_spec
 from assistax.training.team_file import load_team, trained_file
 
 DT, EPISODES = 0.008, 2
@@ -117,18 +118,19 @@ class Seen(Truth):
 
 
 def scratch(env, seen, before):
+    near = {"scratch-v1": 0.04, "scratch-v2": 0.02}[env.name]
     part = ("upper_arm", "forearm")[int(before.segment)]
     itch, normal, way = seen.spot(part, np.asarray(before.itch, float))
     vector = itch - seen.tool
     d, v, f = np.linalg.norm(vector), np.linalg.norm(seen.tool_velocity(part)), seen.tool_force(part)
     terms = {
         "reach": np.exp(-(way**2) / 0.1),
-        "scratch": 16 * (d < 0.04 and f > 1e-3) * bump(v / 0.1) * bump(f / 3.0),
+        "scratch": 16 * (d < near and f > 1e-3) * bump(v / 0.1) * bump(f / 3.0),
     }
-    scratching = d < 0.04 and 1.0 <= f <= 6.0 and 0.03 <= v <= 0.3
+    scratching = d < near and 1.0 <= f <= 6.0 and 0.03 <= v <= 0.3
     after = {"scratch_seconds": before.scratch_seconds + DT * scratching}
     blocks = {"target_vector": vector, "target_distance": [d], "target_normal": normal}
-    return blocks, terms, after, (d < 0.04 and f > 1e-3, part)
+    return blocks, terms, after, (d < near and f > 1e-3, part)
 
 
 def bed_bath(env, seen, before):
@@ -190,9 +192,11 @@ def feeding(env, seen, before):
     tilt = np.arccos(np.clip(cosine(up, 9.81 * UP + acceleration), -1, 1))
     tipped = before.tipped_seconds + DT * (d > 0.1 and tilt > np.pi / 4)
     spilled = bool(before.spilled) or ((tipped > 0.1 or tilt > np.pi / 2) and before.mouth_seconds < 0.5)
-    to_bowl = np.linalg.norm(vector - tip * np.clip(vector @ tip, 0, 0.036))
+    to_bowl = vector - tip * np.clip(vector @ tip, 0, 0.036)
+    _, aside, above = np.abs(face.T @ to_bowl)
+    at_lips = env.name == "feeding-v1" or (aside < 0.02 and above < 0.01)
     angles = cosine(seen.tool - mouth - 0.036 * tip, ahead), -tip @ ahead, up[2]
-    at_mouth = to_bowl < 0.03 and min(angles) >= 0.5
+    at_mouth = np.linalg.norm(to_bowl) < 0.03 and at_lips and min(angles) >= 0.5
     eating = at_mouth and not spilled and speed <= 0.1
     towards = (1 - p) * UP + p * unit(vector)
     lean = min(np.arccos(np.clip(cosine(towards, UP), -1, 1)), np.pi / 12)
@@ -267,6 +271,7 @@ def said_of_harm(after, info):
 
 
 TASKS = {f.__name__: f for f in (scratch, bed_bath, arm_assist, feeding, tooth_brushing)}
+NEWEST, EARLIER = [task_spec(name).id for name in TASKS], ["scratch-v1", "feeding-v1"]
 
 
 def played(env, who, steps, poses=None):
@@ -317,16 +322,18 @@ def compared(found, wanted, engine, where):
 
 @pytest.mark.parametrize("who", ["random", "offer", "trained"])
 @pytest.mark.parametrize(
-    ("name", "engine", "steps"),
+    ("task", "engine", "steps"),
     [
-        *((name, "mujoco", 400) for name in TASKS),
-        *(pytest.param(name, "warp", 250, marks=pytest.mark.slow) for name in TASKS),
+        *((task, "mujoco", 400) for task in NEWEST),
+        *(pytest.param(task, "mujoco", 400, marks=pytest.mark.slow) for task in EARLIER),
+        *(pytest.param(task, "warp", 250, marks=pytest.mark.slow) for task in NEWEST),
     ],
 )
-def test_every_step_of_a_rollout_is_what_the_formulas_say(name, engine, steps, who):
+def test_every_step_of_a_rollout_is_what_the_formulas_say(task, engine, steps, who):
     """A person who offers the target has preferences, the others have none."""
+    name = task_spec(task).name
     liked = {"scratch": "weights=0.3,0.35,-0.03,0.2"}.get(name, "sweep") if who == "offer" else "none"
-    env = assistax.make(name, engine=engine, human={"preference": liked})
+    env = assistax.make(task, engine=engine, human={"preference": liked})
     layout, rows = env.obs_layout("robot"), played(env, who, steps)
     outcome = {"bed_bath": "seconds"}.get(name) or next(iter(env.task.outcomes(env.task.reset(jax.random.key(0)))))
     helped, off, paid = 0, [], []

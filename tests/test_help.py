@@ -1,4 +1,4 @@
-"""What counts as help in version 1, and a cheat for each task that scores nothing."""
+"""What counts as help, and a cheat for each task that scores nothing."""
 
 import dataclasses
 import importlib
@@ -18,18 +18,19 @@ from assistax import scenes
 
 
 @pytest.mark.parametrize(
-    ("distance", "speed", "force", "counts"),
-    [(0.03, 0.1, 3.0, True), (0.05, 0.1, 3.0, False), (0.03, 0.02, 3.0, False), (0.03, 0.4, 3.0, False),
-     (0.03, 0.1, 0.5, False), (0.03, 0.1, 7.0, False)],
+    ("distance", "speed", "force", "counts"),  # in these versions
+    [(0.015, 0.1, 3.0, (1, 2)), (0.03, 0.1, 3.0, (1,)), (0.05, 0.1, 3.0, ()), (0.015, 0.02, 3.0, ()),
+     (0.015, 0.4, 3.0, ()), (0.015, 0.1, 0.5, ()), (0.015, 0.1, 7.0, ())],
 )  # fmt: skip
-def test_scratching_is_near_the_itch_firm_and_moving(distance, speed, force, counts):
-    env, s = at_rest("scratch")
+@pytest.mark.parametrize("version", [1, 2])
+def test_scratching_is_near_the_itch_firm_and_moving(version, distance, speed, force, counts):
+    env, s = at_rest(f"scratch-v{version}")
     state = dataclasses.replace(env.task.reset(jax.random.key(0)), segment=jnp.int32(1))
     frame = np.asarray(scenes.geometry.matrix(jnp.asarray(s["forearm_quat"][0])))
     s["tool_pos"] = s["forearm_pos"] + frame @ np.asarray(state.itch) + [0, 0, distance]
     s["tool_vel_forearm"] = np.array([[0, speed, 0.0]])
     s["tool_force_forearm"] = s["tool_force"] = np.array([[0, 0, force]])
-    assert bool(play(env, s, state).scratch_seconds > 0) == counts
+    assert bool(play(env, s, state).scratch_seconds > 0) == (version in counts)
     s |= {"tool_force_forearm": np.zeros((1, 3)), "tool_force_upper_arm": np.array([[0, 0, force]])}
     assert play(env, s, state).scratch_seconds == 0  # the stick is on the other segment
 
@@ -68,10 +69,10 @@ def test_itches_are_uniform_over_all_of_the_skin_between_shoulder_and_wrist():
 
 
 @pytest.mark.slow
-def test_two_in_five_itches_are_touched_only_if_the_person_moves_and_most_of_these_are_near_what_is(monkeypatch):
+def test_two_in_five_itches_are_touched_only_if_the_person_moves(monkeypatch):
     """By inverse kinematics over both bodies, in the postures in which people offer the arm.
 
-    Scratching counts near the itch, too, so that most of it can be done while the arm rests.
+    Scratching counts near the itch, too: in version 1 within 4 cm, so that most could be done while the arm rests.
     """
     monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "tools"))
     offers = importlib.import_module("offers")
@@ -82,7 +83,7 @@ def test_two_in_five_itches_are_touched_only_if_the_person_moves_and_most_of_the
     assert rest.mean() == pytest.approx(0.58, abs=0.02)
     apart = np.linalg.norm(reach.points[:, None] - reach.points[rest], axis=-1)
     apart[reach.segment[:, None] != reach.segment[rest]] = np.inf
-    for near, share in ((reach.env.task_config.scratch_distance, 0.92), (0.02, 0.70)):
+    for near, share in ((0.04, 0.92), (reach.env.task_config.scratch_distance, 0.70)):
         assert (apart.min(1) < near).mean() == pytest.approx(share, abs=0.03)
     assert np.logical_or.reduce([rest, *moved]).mean() > 0.95
 
@@ -410,10 +411,21 @@ def test_a_spoon_feeds_from_the_front_with_its_tip_in_and_its_food_up():
     assert not fed(up=(0, 0, -1.0))  # upside down
     assert not fed(tip=(0, 0, 1.0), up=(0, 1.0, 0))  # from below
     assert not fed(speed=0.15) and not fed(distance=0.07)
-    face = np.asarray(scenes.geometry.matrix(jnp.asarray(s["mouth_quat"][0])), float)
-    under = spoon(s)  # level, its tip at the chin
-    under |= {"tool_pos": under["tool_pos"] - 0.032 * face[:, 2]}
-    assert not bool(env.task.success(play(env, repeated(under, 63))))
+
+
+@pytest.mark.parametrize(
+    ("left", "up", "versions"),
+    [(0.0, 0.008, (1, 2)), (0.0, -0.008, (1, 2)), (-0.018, 0.0, (1, 2)), (0.0, -0.021, (1,)), (0.0, 0.012, (1,)),
+     (0.022, 0.0, (1,)), (0.0, -0.032, ())],
+)  # fmt: skip
+def test_a_spoon_feeds_at_the_lips_and_not_at_chin_nose_or_cheek(left, up, versions):
+    """A level spoon with its tip at the face, off the middle of the mouth by so many m as the person sees it."""
+    for version in (1, 2):
+        env, s = at_rest(f"feeding-v{version}")
+        face = np.asarray(scenes.geometry.matrix(jnp.asarray(s["mouth_quat"][0])), float)
+        held = spoon(s)
+        held |= {"tool_pos": held["tool_pos"] + left * face[:, 1] + up * face[:, 2]}
+        assert bool(env.task.success(play(env, repeated(held, 63)))) == (version in versions)
 
 
 def test_food_falls_by_gravity_as_the_bowl_feels_it():

@@ -1,4 +1,4 @@
-"""Reward and help agree in version 1: the best-paid behaviour helps, by 5 % over the best-paid one found that does not.
+"""Reward and help agree: the best-paid behaviour helps, by 5 % over the best-paid one found that does not.
 
 In brushing with preferences a larger search, 20,000 points and 60 rounds, finds one that is 4 % behind.
 
@@ -44,7 +44,7 @@ class Instant:
     """What a task pays and counts for one control step, from numbers x [12] that a search may choose."""
 
     def __init__(self, name):
-        self.name, self.env = name, assistax.make(f"{name}-v1", engine="mujoco")
+        self.name, self.env = name, assistax.make(name, engine="mujoco")
         self.task, model = self.env.task, self.env.model
         data = mujoco.MjData(model)
         mujoco.mj_resetDataKeyframe(model, data, 0)
@@ -189,7 +189,7 @@ def best_hovering(task, rows, state, number=3000, rounds=20):
 @pytest.mark.parametrize("seed", range(3))
 def test_washing_more_is_paid_more_than_stopping_and_hovering_where_it_pays_best(seed):
     """An episode that washes these shares of the dirt at once and then hovers to its end, wherever that pays best."""
-    env = assistax.make("bed_bath-v1", engine="mujoco")
+    env = assistax.make("bed_bath", engine="mujoco")
     rows, driven = [], scenes.qpos_ids(env.model, env.spec.scene.human_driven)
     for posture in [None, *json.loads(OFFERS.read_text())["bed_bath"][0]["postures"]]:
         data = mujoco.MjData(env.model)
@@ -216,7 +216,7 @@ def test_washing_more_is_paid_more_than_stopping_and_hovering_where_it_pays_best
 @pytest.mark.parametrize(("speed", "force", "steps"), [(0.1, 2.5, 10), (0.0, 2.5, 0), (0.0199, 2.5, 0), (0.1, 0.1, 0)])
 def test_preferences_of_a_bathed_person_are_met_only_while_dirt_goes(speed, force, steps):
     """A pad that stays on the last dirty points, once they are washed or without washing them, pleases nobody."""
-    env = assistax.make("bed_bath-v1", engine="mujoco", human={"preference": "default"})
+    env = assistax.make("bed_bath", engine="mujoco", human={"preference": "default"})
     _, begun = env.reset(jax.random.key(0))
     state, s = begun.task, dict(env.sensors(begun.physics))
     last = int(np.flatnonzero(state.dirty)[-1])

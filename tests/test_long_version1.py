@@ -1,4 +1,4 @@
-"""Version 1 over many episodes and steps, which takes minutes: `uv run pytest -m slow`.
+"""The newest versions over many episodes and steps, which takes minutes: `uv run pytest -m slow`.
 
 Who helps and who does not; and a million random and a hundred thousand hostile steps, judged by MuJoCo's own contacts.
 """
@@ -29,7 +29,7 @@ EPISODES = 64
 
 @cache
 def env_of(name):
-    return assistax.make(f"{name}-v1", engine="mujoco")
+    return assistax.make(name, engine="mujoco")
 
 
 @cache

@@ -21,11 +21,12 @@ from assistax.executors.jobs import Job, is_worker
 from assistax.executors.jobs import work as carry_out
 from assistax.files import write_atomically
 from assistax.human import DISABILITIES
+from assistax.tasks import task_spec
 from assistax.training.presets import TASKS, UNTAUGHT
 
 ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
 STEPS = {"default": 10_000_000, "paper": 40_000_000}  # of PPO by preset; ours take half an hour
-# ... but of version 1, where teachers help; the second with preferences.
+# ... but of the versions from 1 on, where teachers help; the second with preferences.
 TAUGHT = dict.fromkeys(TASKS, 2_000_000) | {"scratch": 6_000_000, "bed_bath": 6_000_000}
 VARIED = dict.fromkeys(TASKS, 4_000_000) | {"scratch": STEPS["default"], "bed_bath": 6_000_000}
 UNHELPED = TAUGHT | {"arm_assist": 4_000_000}  # a robot alone does not lift the arm in 2 M
@@ -223,20 +224,22 @@ def _trainings(
     people: str,
     seeds: int,
     steps: int | None = None,
-    version: int = 1,
+    version: int | None = None,
     tasks: Sequence[str] = TASKS,
 ) -> Iterator[Experiment]:
-    """Seed after seed; with the usual number of steps, unless given."""
+    """Seed after seed; with the usual number of steps and of the newest version, unless given."""
 
     def usual(task):
         if algorithm == "masac":
             return SAC_STEPS[preset]
-        if (version, preset) == (1, "default"):
+        if preset == "default" and version != 0:
             return (VARIED if people == "-preferences" else UNHELPED if people in STILL else TAUGHT)[task]
         return STEPS[preset]
 
     for seed in range(seeds):
-        yield from (Training(task, algorithm, preset, people, seed, steps or usual(task), version) for task in tasks)
+        for task in tasks:
+            number = task_spec(task).version if version is None else version
+            yield Training(task, algorithm, preset, people, seed, steps or usual(task), number)
 
 
 def _robots(
@@ -267,7 +270,19 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     for algorithm in ("ippo-rnn", "mappo-rnn"):
         yield from _trainings(algorithm, "default", "", seeds or 2, tasks=some)
     yield from _trainings("masac", "default", "", seeds or 3, tasks=some)
+    yield from _of_version_1(seeds)
     yield from _of_the_paper(seeds or 1)
+
+
+def _of_version_1(seeds: int | None) -> Iterator[Experiment]:
+    """What was measured of it where there is a version 2."""
+    former = partial(_trainings, "ippo", "default", version=1)
+    yield from former("", seeds or 5, tasks=("scratch", "feeding"))
+    yield from former("-preferences", seeds or 3, tasks=("scratch", "feeding"))
+    yield from former("-still", seeds or 3, tasks=("scratch",))
+    yield from former("-keeps_still", seeds or 1, tasks=("scratch",))
+    yield from former(ALONE, seeds or 3, steps=4_000_000, tasks=("feeding",))
+    yield from _trainings("mappo", "default", "", 1, version=1, tasks=("feeding",))
 
 
 def _of_the_paper(seeds: int) -> Iterator[Experiment]:

@@ -4,7 +4,7 @@ Paper: task "Feeding"; reward components r_te, r_o, r_v and r_f. The spoon's up 
 frame, its tip is +z.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp, pi
 from typing import ClassVar
 
@@ -35,6 +35,8 @@ class FeedingConfig:
     # What counts as feeding, and for how long in all it must last to be a success.
     mouth_distance: float = 0.03  # m, from the bowl, between its middle (the tool point) and its tip
     bowl: float = 0.036  # m, from middle to tip: as near as the middle gets to a face from the front
+    mouth_width: float = 1.0  # m, from the bowl to the middle of the mouth, to either side of the face
+    mouth_height: float = 1.0  # m, the same up or down the face
     mouth_angle: float = pi  # rad: bowl from straight ahead, its tip from straight in, its upper side from up
     mouth_speed: float = 1e3  # m/s, at most
     success_seconds: float = 0.5  # s, in all
@@ -120,10 +122,12 @@ class Feeding:
         c = self.config
         tool, face = geometry.matrix(s["tool_quat"]), geometry.matrix(s["mouth_quat"])
         vector, tip, ahead = s["mouth_pos"] - s["tool_pos"], tool[:, 2], face[:, 0]
-        from_bowl = norm(vector - tip * jnp.clip(vector @ tip, 0.0, c.bowl))
+        from_bowl = vector - tip * jnp.clip(vector @ tip, 0.0, c.bowl)
+        _, aside, above = jnp.abs(face.T @ from_bowl)
         behind = -vector - c.bowl * tip  # from the mouth to where the handle begins, never at the mouth itself
         cosines = jnp.stack([geometry.unit(behind) @ ahead, -tip @ ahead, -tool[2, 0]])
-        return (from_bowl < c.mouth_distance) & (cosines >= jnp.cos(c.mouth_angle) - 1e-6).all()
+        near = (norm(from_bowl) < c.mouth_distance) & (aside < c.mouth_width) & (above < c.mouth_height)
+        return near & (cosines >= jnp.cos(c.mouth_angle) - 1e-6).all()
 
     def helping(self, s: Sensors, state: FeedingState):
         """At the mouth, with the food."""
@@ -157,36 +161,38 @@ _SCENE = SceneConfig(
     **MEAL_VIEW,
 )
 
-SPECS = (
-    TaskSpec(
-        "feeding",
-        0,
-        Feeding,
-        _SCENE,
-        expert="assistax.policies.experts.feeding:FeedingExpert",
-        bound=4700,
-        preference_budget=1.88,
-        tremor_weakens=True,
-    ),
-    TaskSpec(
-        "feeding",
-        1,
-        Feeding,
-        limited(_SCENE, "head"),
-        FeedingConfig(
-            mouth_angle=pi / 3,
-            mouth_speed=0.1,
-            spill_seconds=0.1,
-            spill_anywhere=pi / 2,
-            filter_seconds=0.05,
-            spill_when_fed=False,
-            pay_help_only=True,
-            aim_inward=True,
-            most_tilt=pi / 12,
-        ),
-        expert="assistax.policies.experts.feeding:FeedingExpert",
-        bound=4700,
-        preference_budget=1.88,
-        preferences_need_help=True,
-    ),
+_PAPER = TaskSpec(
+    "feeding",
+    0,
+    Feeding,
+    _SCENE,
+    expert="assistax.policies.experts.feeding:FeedingExpert",
+    bound=4700,
+    preference_budget=1.88,
+    tremor_weakens=True,
 )
+_HELPING = TaskSpec(
+    "feeding",
+    1,
+    Feeding,
+    limited(_SCENE, "head"),
+    FeedingConfig(
+        mouth_angle=pi / 3,
+        mouth_speed=0.1,
+        spill_seconds=0.1,
+        spill_anywhere=pi / 2,
+        filter_seconds=0.05,
+        spill_when_fed=False,
+        pay_help_only=True,
+        aim_inward=True,
+        most_tilt=pi / 12,
+    ),
+    expert="assistax.policies.experts.feeding:FeedingExpert",
+    bound=4700,
+    preference_budget=1.88,
+    preferences_need_help=True,
+)
+# Within 3 cm of the mouth is the chin, too, and learners fed it.
+_AT_THE_LIPS = replace(_HELPING, version=2, config=replace(_HELPING.config, mouth_width=0.02, mouth_height=0.01))
+
+SPECS = (_PAPER, _HELPING, _AT_THE_LIPS)

@@ -3,7 +3,7 @@
 Paper: task "Scratch"; reward components r_t and r_s.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import ClassVar
 
@@ -178,34 +178,36 @@ class Scratch:
 
 _SCENE = SceneConfig("wheelchair", "seated", "scratcher", (0.75, 0.0, 0.0), pi, RIGHT_ARM)
 
-SPECS = (
-    TaskSpec(
-        "scratch",
-        0,
-        Scratch,
-        _SCENE,
-        expert="assistax.policies.experts.scratch:ScratchExpert",
-        bound=1000,
-        preference_budget=1.0,
-        tremor_weakens=True,
-    ),
-    TaskSpec(
-        "scratch",
-        1,
-        Scratch,
-        limited(_SCENE, *SEGMENTS),
-        ScratchConfig(
-            height=(-1.0, 1.0),
-            angle=pi,
-            by_area=True,
-            scratch_scale=16.0,
-            pay_help_only=True,
-            sided=True,
-            scratch_distance=0.04,
-        ),
-        expert="assistax.policies.experts.scratch:ScratchExpert",
-        bound=3165,
-        preference_budget=3.165,
-        preferences_need_help=True,
-    ),
+_PAPER = TaskSpec(
+    "scratch",
+    0,
+    Scratch,
+    _SCENE,
+    expert="assistax.policies.experts.scratch:ScratchExpert",
+    bound=1000,
+    preference_budget=1.0,
+    tremor_weakens=True,
 )
+_HELPING = TaskSpec(
+    "scratch",
+    1,
+    Scratch,
+    limited(_SCENE, *SEGMENTS),
+    ScratchConfig(
+        height=(-1.0, 1.0),
+        angle=pi,
+        by_area=True,
+        scratch_scale=16.0,
+        pay_help_only=True,
+        sided=True,
+        scratch_distance=0.04,
+    ),
+    expert="assistax.policies.experts.scratch:ScratchExpert",
+    bound=3165,
+    preference_budget=3.165,
+    preferences_need_help=True,
+)
+# While the arm rests, nearly all of its skin is within 4 cm of what the stick can touch.
+_NEARER = replace(_HELPING, version=2, config=replace(_HELPING.config, scratch_distance=0.02))
+
+SPECS = (_PAPER, _HELPING, _NEARER)
