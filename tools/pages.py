@@ -37,13 +37,14 @@ from assistax.teamwork import crossplay
 
 EPISODES = 64
 BOUNDS = {spec.name: spec.bound for spec in TASKS.values() if spec.version == 0}
+NEWEST, PAPER = ({name: task_spec(f"{name}{which}").id for name in BOUNDS} for which in ("", "-v0"))
 EXPERTS_PAGE = """# Scripted policies
 
 Each task has a scripted robot, the expert, that knows the whole simulator state (`src/assistax/policies/experts/`), and
 scripted people (`src/assistax/policies/people.py`). All numbers are over {episodes} episodes on the evaluation seeds.
 This page is written by `python tools/pages.py experts` from `results/experts.json`.
 
-# Version 1
+# The newest versions
 
 ## The expert, and a person who works with it or does not
 
@@ -100,7 +101,7 @@ def measure(path: Path = REFERENCES) -> str:
     """
     records = read_references(path)
     known = {json.dumps([r["task"], r["policy"], r["human"]]) for r in records}
-    for task in (f"{name}-v1" for name in BOUNDS):
+    for task in NEWEST.values():
         plain = ("still", "random", "expert", "offer", "offer_slowly", "withdraw")
         wanted = [(policy, {}) for policy in plain]
         wanted += [(policy, {"preference": "sweep"}) for policy in ("expert", "considerate", "offer")]
@@ -131,26 +132,26 @@ def experts(records: list[dict[str, Any]]) -> str:
 
     def disabled():
         rows = []
-        for task in BOUNDS:
-            reports = [find(f"{task}-v1", "offer", disability=name) for name in DISABILITIES]
+        for task in NEWEST.values():
+            reports = [find(task, "offer", disability=name) for name in DISABILITIES]
             told = (f"{r['success_rate']:.0%} ({r['force']['mean_in_contact']:.1f})" for r in reports)
             rows.append([task, *told])
         return markdown(["task", *DISABILITIES], rows)
 
-    def nobody(version):
+    def nobody(versions):
         rows = []
-        for task in BOUNDS:
-            reports = [find(f"{task}-v{version}", policy) for policy in ("still", "random")]
+        for task in versions.values():
+            reports = [find(task, policy) for policy in ("still", "random")]
             told = (f"{r['mean_return']:.0f}, success {r['success_rate']:.0%}" for r in reports)
             rows.append([task, *told])
         return markdown(["task", "still: return", "random: return"], rows)
 
-    def considerate(version, policies):
+    def considerate(versions, policies):
         rows = []
-        for task in BOUNDS:
+        for task in versions.values():
             row = [task]
             for policy in policies:
-                report = find(f"{task}-v{version}", policy, preference="sweep")
+                report = find(task, policy, preference="sweep")
                 row += [f"{report[name]['mean']:.0f}" for name in ("task_return", "preference_return")]
                 row += [f"{report['success_rate']:.0%}"]
             rows.append(row)
@@ -163,27 +164,28 @@ def experts(records: list[dict[str, Any]]) -> str:
 
     pairs, offered, plain = [], [], []
     for task, bound in BOUNDS.items():
-        met = [find(f"{task}-v1", policy) for policy in ("expert", "offer", "offer_slowly", "withdraw")]
-        pairs.append([task, *(percent(report, safe=True) for report in met)])
-        report, full = met[1], task_spec(f"{task}-v1").bound
+        newest = NEWEST[task]
+        met = [find(newest, policy) for policy in ("expert", "offer", "offer_slowly", "withdraw")]
+        pairs.append([newest, *(percent(report, safe=True) for report in met)])
+        report, full = met[1], task_spec(newest).bound
         harmed = [f"{report['harm'][name]['mean']:.2f}" for name in ("seconds_above_comfort", "clamping", "impact")]
         earned = [f"{report['mean_return']:.0f}", f"{report['mean_return'] / full:.0%}"]
-        offered.append([task, *earned, *forces(report), *harmed])
-        report = find(f"{task}-v0", "expert")
+        offered.append([newest, *earned, *forces(report), *harmed])
+        report = find(PAPER[task], "expert")
         earned = [f"{report['mean_return']:.0f}", f"{report['mean_return'] / bound:.0%}"]
-        plain.append([task, f"{report['success_rate']:.0%}", *earned, *forces(report)])
+        plain.append([PAPER[task], f"{report['success_rate']:.0%}", *earned, *forces(report)])
     force = ["force in contact, N", "95 % below, N", "peak, N"]
     harm = ["seconds above comfort", "episodes with clamping", "with impact"]
     return EXPERTS_PAGE.format(
         episodes=EPISODES,
         pairs=markdown(["task", "still", "offers", "offers slowly", "draws back"], pairs),
         offered=markdown(["task", "return", "of the bound", *force, *harm], offered),
-        nobody=nobody(1),
+        nobody=nobody(NEWEST),
         disabled=disabled(),
-        considerate=considerate(1, ("expert", "considerate", "offer")),
+        considerate=considerate(NEWEST, ("expert", "considerate", "offer")),
         experts_v0=markdown(["task", "success", "return", "of the paper's bound", *force], plain),
-        nobody_v0=nobody(0),
-        considerate_v0=considerate(0, ("expert", "considerate")),
+        nobody_v0=nobody(PAPER),
+        considerate_v0=considerate(PAPER, ("expert", "considerate")),
     )
 
 
@@ -191,16 +193,16 @@ RESULTS_PAGE = """# Trained teams
 
 Returns and success over the evaluation seeds at the end of training, deterministic, with 95 % intervals over training
 seeds; a row with one seed has none. The last columns say when 90 % of the episodes of an evaluation were first a
-success, in version 1 a safe one. Written from `results/` by `python tools/pages.py results`; [findings.md](findings.md)
+success, from version 1 on a safe one. Written from `results/` by `python tools/pages.py results`; [findings.md](findings.md)
 tells what these teams do.
 
-## Version 1
+## Versions 1 and 2
 
 {newest}
 
 {remarks_newest}
 
-![Learning curves of version 1](images/learning_curves_version1.png)
+![Learning curves of versions 1 and 2](images/learning_curves_helping.png)
 
 ## Version 0, the paper's
 
@@ -236,10 +238,10 @@ def results(folder: Path, pictures: Path) -> str:
     for name, long in {"learning_curves": False, "learning_curves_long": True}.items():
         shown = [e for e in evaluated if (e.method.steps > SHORT) == long]
         save(learning_curves(shown, references, source="evaluation"), pictures / f"{name}.png")
-    ours = experiments(find_runs((folder / "version1",)))
+    ours = experiments(find_runs([folder / f"version{number}" for number in (1, 2)]))
     newest = report(ours, references, compare=False)
     shown = [e for e in ours if all(run.rows("evaluations") for run in e.runs)]
-    save(learning_curves(shown, references, source="evaluation"), pictures / "learning_curves_version1.png")
+    save(learning_curves(shown, references, source="evaluation"), pictures / "learning_curves_helping.png")
     files = [folder / "crossplay" / f"{task}.json" for task in BOUNDS]
     meetings = [read_json(path, {str: object}) for path in files if path.exists()]
     return RESULTS_PAGE.format(

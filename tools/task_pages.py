@@ -17,6 +17,7 @@ from assistax.env import AGENTS, Env, EnvConfig, make
 from assistax.human import harm, preference
 from assistax.results.comparison import markdown
 from assistax.scenes.build import BRAKE_FROM
+from assistax.tasks import TASKS as VERSIONS
 from assistax.tasks import TaskSpec, rewards, task_spec
 
 FOLDER, PICTURES = Path("docs/tasks"), Path("docs/images/tasks")
@@ -68,20 +69,21 @@ WIDTH = 120  # of a line
 
 def pages() -> dict[Path, str]:
     """By file the text of every page."""
-    envs = {name: make(f"{name}-v1", engine="mujoco") for name in TASKS}
+    envs = {name: make(name, engine="mujoco") for name in TASKS}
     texts = {FOLDER / f"{name}.md": page(env, TASKS[name]) for name, env in envs.items()}
     return {FOLDER / "index.md": index(list(envs.values())), **texts}
 
 
 def pictures() -> dict[Path, bytes]:
     """By file the picture of every page; plays an episode of each task."""
-    return {PICTURES / f"{name}.png": draw(f"{name}-v1", words.picture) for name, words in TASKS.items()}
+    return {PICTURES / f"{name}.png": draw(task_spec(name).id, words.picture) for name, words in TASKS.items()}
 
 
 def page(env: Env, words: Words) -> str:
-    """The page of one task in version 1."""
+    """The page of the newest version of one task."""
     spec, config, shared = env.spec, env.task_config, env.config
-    paper = task_spec(f"{spec.name}-v0")
+    every = sorted((one for one in VERSIONS.values() if one.name == spec.name), key=lambda one: -one.version)
+    paper = every[-1]
     numbers = {"c": config, "r": rewards, "deg": _Degrees(config), "B": BOLTZMANN}
     largest = {name: term.most(config, STEPS) for name, term in words.terms.items()}
     _check_terms(env, words)
@@ -98,6 +100,7 @@ def page(env: Env, words: Words) -> str:
         "task",
         title=spec.title,
         id=spec.id,
+        version=spec.version,
         name=spec.name,
         story=words.story,
         picture=f"../{(PICTURES / f'{spec.name}.png').relative_to('docs')}",
@@ -116,9 +119,10 @@ def page(env: Env, words: Words) -> str:
         seconds=shared.episode_length * env.dt,
         end=words.end,
         noise=shared.reset_noise,
-        settings=settings(config, paper.config),
+        settings=settings(config, {f"version {one.version}": one.config for one in every}),
         before=words.before,
         versions=versions(spec, paper),
+        between=f"{words.between}\n\n" * bool(words.between),
         **fields,
     )
 
@@ -184,16 +188,16 @@ def actions(env: Env) -> str:
     )
 
 
-def settings(config: Any, paper: Any = None) -> str:
-    """Every field with its default, that of version 0 beside it, and its comment."""
+def settings(config: Any, versions: dict[str, Any] | None = None) -> str:
+    """Every field with its default, or its value in each of the versions by their names, and its comment."""
+    shown = versions or {"default": config}
     told, rows = meanings(type(config)), []
     for field in dataclasses.fields(config):
-        value = getattr(config, field.name)
-        if dataclasses.is_dataclass(value):
+        if dataclasses.is_dataclass(getattr(config, field.name)):
             continue
-        defaults = [_shown(value)] + ([_shown(getattr(paper, field.name))] if paper else [])
-        rows.append([f"`{field.name}`", *defaults, told[field.name]])
-    return markdown(["setting", *(["version 1", "version 0"] if paper else ["default"]), "meaning"], rows)
+        values = [_shown(getattr(one, field.name)) for one in shown.values()]
+        rows.append([f"`{field.name}`", *values, told[field.name]])
+    return markdown(["setting", *shown, "meaning"], rows)
 
 
 def versions(spec: TaskSpec, paper: TaskSpec) -> str:
@@ -204,7 +208,7 @@ def versions(spec: TaskSpec, paper: TaskSpec) -> str:
             values = [_shown(getattr(one, name)) for one in (old, new)]
             if values[0] != values[1]:
                 rows.append([meaning, *values])
-    return markdown(["", "version 0", "version 1"], rows)
+    return markdown(["", "version 0", f"version {spec.version}"], rows)
 
 
 def _check_terms(env: Env, words: Words) -> None:

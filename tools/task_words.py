@@ -1,7 +1,7 @@
 """What no code can tell about each task: its story, the labels of its picture, its formulas in the paper's signs.
 
-Numbers are filled in from the settings of version 1: {c.near} is a field of its configuration, {deg[angle]} one in
-degrees, {r.SIGMA} a constant of tasks/rewards.py, {B} is BOLTZMANN. `most` is the largest sum of a term over an episode
+Numbers are filled in from the settings of the newest version: {c.near} is a field of its configuration, {deg[angle]}
+one in degrees, {r.SIGMA} a constant of tasks/rewards.py, {B} is BOLTZMANN. `most` is the largest sum of a term over an episode
 of `steps` steps.
 """
 
@@ -32,6 +32,7 @@ class Words:
     draws: str
     before: str  # version 0
     touched: tuple[str, ...]  # regions of human.harm.REGIONS that the tool works on or beside
+    between: str = ""  # the versions between 0 and the newest
 
 
 JOINTS_ONLY = "Nothing but the noise on the joints: {what}."
@@ -82,6 +83,8 @@ TASKS = {
         "itself. The scratch term pays, and scratching counts, within 10 cm of the itch, wherever the tool touches "
         "the person: also on the other side of the arm.",
         ("upper_arm", "forearm", "hand", "trunk"),
+        "`scratch-v1` counts within 4 cm of the itch. Nearly all itches are so near to what the stick touches while the "
+        "arm rests.",
     ),
     "bed_bath": Words(
         "The person lies in bed and one side of the right arm is dirty. The robot holds a pad and washes it; the "
@@ -196,7 +199,8 @@ TASKS = {
         "{deg[most_tilt]}°; v: speed of the tool point as the head sees it (m/s); v* = {c.speed:g}·(1 − p); f force "
         "of the bowl on the person (N); {B}",
         "the spoon still has its food and its bowl, from the middle to the tip, is within {c.mouth_distance:g} m of "
-        "the middle of the mouth, the bowl in front of the face, its tip pointing in, its upper side up, each within "
+        "the middle of the mouth, {c.mouth_width:g} m to either side and {c.mouth_height:g} m up or down, "
+        "the bowl in front of the face, its tip pointing in, its upper side up, each within "
         "{deg[mouth_angle]}°",
         "{c.success_seconds:g} s in all in which it helps at {c.mouth_speed:g} m/s or less (`mouth_seconds`). The "
         "food falls (`spilled`) when the spoon is tipped by more than {deg[spill_angle]}° for {c.spill_seconds:g} s "
@@ -210,6 +214,8 @@ TASKS = {
         "however the face is turned, and contact pays anywhere on the person: a spoon under the chin is paid as well "
         "as one in the mouth.",
         ("face", "skull", "neck"),
+        "`feeding-v1` counts anywhere within 3 cm of the middle of the mouth, so that a spoon against the chin, 2 cm "
+        "below it, feeds: trained teams held it there.",
     ),
     "tooth_brushing": Words(
         "The person sits in a wheelchair. The robot holds a toothbrush, lays the bristles on the mouth and brushes; "

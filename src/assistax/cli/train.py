@@ -45,7 +45,7 @@ def train(
       assistax train scratch --set env.human.disability=tremor+weakness env.human.preference=sweep
       assistax train scratch --partner human=still
       assistax train scratch --partner human=runs/scratch-ippo-0
-      assistax train scratch --partner human=populations/scratch-v1:random/train
+      assistax train scratch-v1 --partner human=populations/scratch-v1:random/train
       assistax train scratch --start runs/scratch-ippo-0 --set env.human.disability=tremor --steps 1e6
       assistax train --resume runs/scratch-ippo-0
 

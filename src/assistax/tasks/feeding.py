@@ -35,8 +35,8 @@ class FeedingConfig:
     # What counts as feeding, and for how long in all it must last to be a success.
     mouth_distance: float = 0.03  # m, from the bowl, between its middle (the tool point) and its tip
     bowl: float = 0.036  # m, from middle to tip: as near as the middle gets to a face from the front
-    mouth_width: float = 1.0  # m, from the bowl to the middle of the mouth, to either side of the face
-    mouth_height: float = 1.0  # m, the same up or down the face
+    mouth_width: float = 1e3  # m, from the bowl to the middle of the mouth, to either side of the face
+    mouth_height: float = 1e3  # m, the same up or down the face
     mouth_angle: float = pi  # rad: bowl from straight ahead, its tip from straight in, its upper side from up
     mouth_speed: float = 1e3  # m/s, at most
     success_seconds: float = 0.5  # s, in all
