@@ -193,8 +193,8 @@ RESULTS_PAGE = """# Trained teams
 
 Returns and success over the evaluation seeds at the end of training, deterministic, with 95 % intervals over training
 seeds; a row with one seed has none. The last columns say when 90 % of the episodes of an evaluation were first a
-success, from version 1 on a safe one. Written from `results/` by `python tools/pages.py results`; [findings.md](findings.md)
-tells what these teams do.
+success, from version 1 on a safe one. Written from `results/` by `python tools/pages.py results`;
+[findings.md](findings.md) tells what these teams do.
 
 ## Versions 1 and 2
 

@@ -1,8 +1,8 @@
 """What no code can tell about each task: its story, the labels of its picture, its formulas in the paper's signs.
 
 Numbers are filled in from the settings of the newest version: {c.near} is a field of its configuration, {deg[angle]}
-one in degrees, {r.SIGMA} a constant of tasks/rewards.py, {B} is BOLTZMANN. `most` is the largest sum of a term over an episode
-of `steps` steps.
+one in degrees, {r.SIGMA} a constant of tasks/rewards.py, {B} is BOLTZMANN. `most` is the largest sum of a term over an
+episode of `steps` steps.
 """
 
 from collections.abc import Callable
@@ -83,8 +83,8 @@ TASKS = {
         "itself. The scratch term pays, and scratching counts, within 10 cm of the itch, wherever the tool touches "
         "the person: also on the other side of the arm.",
         ("upper_arm", "forearm", "hand", "trunk"),
-        "`scratch-v1` counts within 4 cm of the itch. Nearly all itches are so near to what the stick touches while the "
-        "arm rests.",
+        "`scratch-v1` counts within 4 cm of the itch. Nearly all itches are so near to what the stick touches "
+        "while the arm rests.",
     ),
     "bed_bath": Words(
         "The person lies in bed and one side of the right arm is dirty. The robot holds a pad and washes it; the "

@@ -270,7 +270,7 @@ class Env:
 
         `success` (0 or 1), the task's own outcomes, `cost`, `peak_force` (N) and `seconds_over_force_limit`
         of the robot on the person, `work_robot` and `work_human` (J), `return` and `length` (steps);
-        with preferences also `task_return` and `preference_return`, which add up to it. In version 1 also
+        with preferences also `task_return` and `preference_return`, which add up to it. From version 1 on also
         `safe_success`, success without clamping or impact beyond the limits, and `human.harm.outcomes`.
         """
         success = self.task.success(state.task)

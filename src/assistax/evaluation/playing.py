@@ -127,7 +127,7 @@ def summarize(result: dict[str, Any]) -> dict[str, Any]:
     returns, success = metrics.pop("return"), metrics.pop("success")
     force: Distribution = result["force"]
     apart = [name for name in ("task_return", "preference_return") if name in metrics]  # only with preferences
-    harmed = [name for name in harm.OUTCOMES if name in metrics]  # only in version 1
+    harmed = [name for name in harm.OUTCOMES if name in metrics]  # from version 1 of a task on
     safe = metrics.pop("safe_success") if harmed else np.zeros(0)
     return {
         "episodes": len(returns),

@@ -162,7 +162,7 @@ def sensor_slices(model: mujoco.MjModel) -> dict[str, slice]:
 
 
 def limited(scene: SceneConfig, *worked_on: str) -> SceneConfig:
-    """The scene with what version 1 of a task needs: speeds kept within limits, arms supported, relative speeds and
+    """The scene with what versions from 1 on need: speeds kept within limits, arms supported, relative speeds and
     forces measured."""
     return replace(scene, worked_on=worked_on, regions=True, speed_limits=True, supported=True)
 

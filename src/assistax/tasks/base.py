@@ -19,7 +19,7 @@ _AXES = {"upper_arm": "upper_arm_quat", "forearm": "forearm_quat", "head": "mout
 
 def tool_velocity(s: Sensors, part: str) -> jax.Array:
     """Velocity [3] of the tool point in m/s, world axes: as the body part sees it where the scene measures that
-    (version 1), else as the room does (version 0)."""
+    (from version 1 on), else as the room does (version 0)."""
     if f"tool_vel_{part}" not in s:
         return s["tool_vel"]
     return geometry.rotate(s[_AXES[part]], s[f"tool_vel_{part}"])

@@ -73,8 +73,8 @@ def orientation(
     Level while far from the mouth, tilted toward it when near: r_pour = t·up for the direction
     t = normalise((1−p)·ẑ + p·û), and r_aim = tip·û. to_mouth [3] in m.
 
-    Version 1: with `inward` [3], the unit direction into the mouth, r_aim = tip·inward, and t is at most `most_tilt`
-    rad from ẑ; with the paper's, a spoon poured out under the chin is paid more than one in the mouth.
+    From version 1 on: with `inward` [3], the unit direction into the mouth, r_aim = tip·inward, and t is at most
+    `most_tilt` rad from ẑ; with the paper's, a spoon poured out under the chin is paid more than one in the mouth.
     """
     towards, p = unit(to_mouth), proximity(norm(to_mouth))
     target = unit((1.0 - p) * UP + p * towards)
@@ -95,8 +95,8 @@ def approach(speed: jax.Array, distance: jax.Array, top_speed: float) -> jax.Arr
 def alignment(to_mouth: jax.Array, bristle: jax.Array, handle: jax.Array, inward: jax.Array | None = None) -> jax.Array:
     """r_align = ½·[bristle·û + (1 − |handle·ẑ|)]: bristles toward the mouth, handle level.
 
-    Version 1: with `inward` [3], the unit direction into the mouth, bristle·inward; with the paper's, bristles that lie
-    on a cheek and look past it are aligned.
+    From version 1 on: with `inward` [3], the unit direction into the mouth, bristle·inward; with the paper's, bristles
+    that lie on a cheek and look past it are aligned.
     """
     towards = unit(to_mouth) if inward is None else inward
     return 0.5 * (bristle @ towards + 1.0 - jnp.abs(handle @ UP))

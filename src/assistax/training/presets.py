@@ -2,7 +2,7 @@
 
 `paper` holds the two tables of the paper's appendix "Hyperparameters"; where they are silent, the
 defaults of PPOConfig and SACConfig stand. `default` has one row of our own for PPO in all its variants and one
-for SAC, so that they differ in nothing else; for version 1 of the tasks PPO's has a part for each task.
+for SAC, so that they differ in nothing else; from version 1 of the tasks on PPO's has a part for each task.
 """
 
 from typing import Any
