@@ -8,7 +8,14 @@ from assistax.training.team_file import load_team, trained_file
 
 # What each reaches in 64 episodes: 98 % in bed bath of version 0, 97 % in that of version 1, 100 % elsewhere.
 LEAST = {"scratch-v0": 1.0, "bed_bath-v0": 0.75, "arm_assist-v0": 1.0, "feeding-v0": 1.0, "tooth_brushing-v0": 1.0}
-LEAST |= {"scratch-v1": 0.75, "bed_bath-v1": 0.75, "arm_assist-v1": 1.0, "feeding-v1": 1.0, "tooth_brushing-v1": 1.0}
+LEAST |= {
+    "scratch-v1": 0.75,
+    "scratch-v2": 0.75,
+    "bed_bath-v1": 0.75,
+    "arm_assist-v1": 1.0,
+    "feeding-v1": 1.0,
+    "tooth_brushing-v1": 1.0,
+}
 
 
 def test_a_task_without_one_says_so(monkeypatch, tmp_path):
