@@ -202,7 +202,7 @@ def feeding(env, seen, before):
     lean = min(np.arccos(np.clip(cosine(towards, UP), -1, 1)), np.pi / 12)
     wanted = np.cos(lean) * UP + np.sin(lean) * unit(towards * [1, 1, 0])
     terms = {
-        "reach": 2 * np.exp(-3 * d),
+        "reach": 2 * np.exp(-3 * (d if env.name == "feeding-v1" else np.linalg.norm(to_bowl))),
         "orientation": wanted @ up - (0.3 + 0.7 * p) * (tip @ ahead),
         "approach": np.exp(-((speed - 0.2 * (1 - p)) ** 2) / 0.01),
         "contact": eating * bump(seen.f),

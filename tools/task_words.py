@@ -186,16 +186,16 @@ TASKS = {
         ),
         "a spoon; the tool point is the middle of its bowl",
         {
-            "reach": Term("{c.reach_scale:g} · exp(−{r.DECAY:g}·d)", lambda c, steps: steps * c.reach_scale),
+            "reach": Term("{c.reach_scale:g} · exp(−{r.DECAY:g}·b)", lambda c, steps: steps * c.reach_scale),
             "orientation": Term("t·up + (0.3 + 0.7·p) · (tip·inward)", lambda c, steps: steps * 2.0),
             "approach": Term("exp(−(v − v*)² / {r.APPROACH_WIDTH:g})", lambda c, steps: steps),
             "contact": Term(
                 "[helps and v ≤ {c.mouth_speed:g}] · B(f / {c.force:g})", lambda c, steps: steps * B_LARGEST
             ),
         },
-        "d: distance from the tool point to the middle of the mouth (m); p = exp(−{r.PROXIMITY:g}·d²), which is 1 at "
-        "the mouth and 0 far away; up, tip: the directions of the spoon's upper side and of its tip; inward the "
-        "direction into the mouth; t: the wanted up side: straight up, turned towards the mouth by p, at most "
+        "b: distance from the bowl, between tool point and tip, to the middle of the mouth (m); d: that from the tool "
+        "point; p = exp(−{r.PROXIMITY:g}·d²), which is 1 at the mouth and 0 far away; up, tip: the directions of "
+        "the spoon's upper side and of its tip; inward the direction into the mouth; t: the wanted up side: straight up, turned towards the mouth by p, at most "
         "{deg[most_tilt]}°; v: speed of the tool point as the head sees it (m/s); v* = {c.speed:g}·(1 − p); f force "
         "of the bowl on the person (N); {B}",
         "the spoon still has its food and its bowl, from the middle to the tip, is within {c.mouth_distance:g} m of "
@@ -215,7 +215,8 @@ TASKS = {
         "as one in the mouth.",
         ("face", "skull", "neck"),
         "`feeding-v1` counts anywhere within 3 cm of the middle of the mouth, so that a spoon against the chin, 2 cm "
-        "below it, feeds: trained teams held it there.",
+        "below it, feeds: trained teams held it there. Its reach term has d instead of b, and the tool point comes "
+        "nearer to the mouth from below than from ahead.",
     ),
     "tooth_brushing": Words(
         "The person sits in a wheelchair. The robot holds a toothbrush, lays the bristles on the mouth and brushes; "

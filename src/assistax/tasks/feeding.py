@@ -27,6 +27,7 @@ class FeedingConfig:
     """The numbers in which versions differ; the defaults are version 0's."""
 
     reach_scale: float = 2.0  # of the reach term
+    reach_of_bowl: bool = False  # whether that is of the part of the bowl that is nearest, or of the tool point
     speed: float = 0.20  # m/s, v*_app far from the mouth
     force: float = 1.0  # N, f* of the contact term
     pay_help_only: bool = False  # whether the contact term pays only while the person can eat, or anywhere
@@ -91,7 +92,7 @@ class Feeding:
         paid = eating if c.pay_help_only else 1.0
         own = (-geometry.matrix(s["mouth_quat"])[:, 0], c.most_tilt) if c.aim_inward else ()
         return {
-            "reach": c.reach_scale * envelope(norm(vector)),
+            "reach": c.reach_scale * envelope(norm(self._from_bowl(s) if c.reach_of_bowl else vector)),
             "orientation": orientation(vector, -tool[:, 0], tool[:, 2], *own),
             "approach": approach(self.tool_speed(s, state), norm(vector), c.speed),
             "contact": paid * boltzmann(norm(s["tool_force"]) / c.force),
@@ -122,12 +123,17 @@ class Feeding:
         c = self.config
         tool, face = geometry.matrix(s["tool_quat"]), geometry.matrix(s["mouth_quat"])
         vector, tip, ahead = s["mouth_pos"] - s["tool_pos"], tool[:, 2], face[:, 0]
-        from_bowl = vector - tip * jnp.clip(vector @ tip, 0.0, c.bowl)
+        from_bowl = self._from_bowl(s)
         _, aside, above = jnp.abs(face.T @ from_bowl)
         behind = -vector - c.bowl * tip  # from the mouth to where the handle begins, never at the mouth itself
         cosines = jnp.stack([geometry.unit(behind) @ ahead, -tip @ ahead, -tool[2, 0]])
         near = (norm(from_bowl) < c.mouth_distance) & (aside < c.mouth_width) & (above < c.mouth_height)
         return near & (cosines >= jnp.cos(c.mouth_angle) - 1e-6).all()
+
+    def _from_bowl(self, s: Sensors):
+        """Vector [3] m to the mouth, in world axes, from the part of the bowl that is nearest to it."""
+        vector, tip = s["mouth_pos"] - s["tool_pos"], geometry.matrix(s["tool_quat"])[:, 2]
+        return vector - tip * jnp.clip(vector @ tip, 0.0, self.config.bowl)
 
     def helping(self, s: Sensors, state: FeedingState):
         """At the mouth, with the food."""
@@ -192,7 +198,11 @@ _HELPING = TaskSpec(
     preference_budget=1.88,
     preferences_need_help=True,
 )
-# Within 3 cm of the mouth is the chin, too, and learners fed it.
-_AT_THE_LIPS = replace(_HELPING, version=2, config=replace(_HELPING.config, mouth_width=0.02, mouth_height=0.01))
+# Within 3 cm of the mouth is the chin, too, from where the middle of a spoon comes nearer to it than from ahead.
+_AT_THE_LIPS = replace(
+    _HELPING,
+    version=2,
+    config=replace(_HELPING.config, reach_of_bowl=True, mouth_width=0.02, mouth_height=0.01),
+)
 
 SPECS = (_PAPER, _HELPING, _AT_THE_LIPS)
