@@ -195,9 +195,9 @@ TASKS = {
         },
         "b: distance from the bowl, between tool point and tip, to the middle of the mouth (m); d: that from the tool "
         "point; p = exp(−{r.PROXIMITY:g}·d²), which is 1 at the mouth and 0 far away; up, tip: the directions of "
-        "the spoon's upper side and of its tip; inward the direction into the mouth; t: the wanted up side: straight up, turned towards the mouth by p, at most "
-        "{deg[most_tilt]}°; v: speed of the tool point as the head sees it (m/s); v* = {c.speed:g}·(1 − p); f force "
-        "of the bowl on the person (N); {B}",
+        "the spoon's upper side and of its tip; inward the direction into the mouth; t: the wanted up side: straight "
+        "up, turned towards the mouth by p, at most {deg[most_tilt]}°; v: speed of the tool point as the head sees it "
+        "(m/s); v* = {c.speed:g}·(1 − p); f force of the bowl on the person (N); {B}",
         "the spoon still has its food and its bowl, from the middle to the tip, is within {c.mouth_distance:g} m of "
         "the middle of the mouth, {c.mouth_width:g} m to either side and {c.mouth_height:g} m up or down, "
         "the bowl in front of the face, its tip pointing in, its upper side up, each within "
