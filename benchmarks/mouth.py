@@ -1,7 +1,7 @@
 """Where spoon and bristles are, as seen from the mouth, while the episode counts that they help.
 
 uv run python benchmarks/mouth.py --out results/mouth.json
-uv run python benchmarks/mouth.py --tasks feeding --policies RUN   # a run folder with a checkpoint
+uv run python benchmarks/mouth.py --tasks feeding-v2 --policies RUN   # a run folder with a checkpoint
 
 Means over the counted steps of all episodes, in cm: ahead of the mouth's middle, to its left, and up. Of the spoon it
 is the point of the bowl, between its middle and its tip, that is nearest to the mouth.
@@ -20,7 +20,7 @@ from assistax.files import write_json
 from assistax.scenes import geometry
 from assistax.stamp import stamp
 
-COUNTED = {"feeding": "mouth_seconds", "tooth_brushing": "brush_seconds"}
+COUNTED = {"feeding-v1": "mouth_seconds", "feeding-v2": "mouth_seconds", "tooth_brushing-v1": "brush_seconds"}
 
 
 def nearest(env, s):

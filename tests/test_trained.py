@@ -14,6 +14,7 @@ LEAST |= {
     "bed_bath-v1": 0.75,
     "arm_assist-v1": 1.0,
     "feeding-v1": 1.0,
+    "feeding-v2": 1.0,
     "tooth_brushing-v1": 1.0,
 }
 
