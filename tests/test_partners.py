@@ -110,7 +110,8 @@ def test_a_partner_of_another_task_is_refused(tmp_path, make):
     """The person of scratch observes and does as much as that of bed bath."""
     there = make(tmp_path / "there")
     for task in ("bed_bath-v1", "feeding-v2", "scratch-v1"):
-        with pytest.raises(UsageError, match=f"trained for scratch-v2 and cannot play the human in {task}") as error:
+        said = f"is of scratch-v2 and cannot play the human in {task}; name the task scratch-v2"
+        with pytest.raises(UsageError, match=said) as error:
             Run.create(small(task, partners=(f"human={there}",)), tmp_path / "run")
         assert "\n" not in str(error.value) and not (tmp_path / "run").exists()
 

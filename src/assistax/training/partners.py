@@ -116,9 +116,13 @@ def find_partner(name: str | Population, env: Env, agent: str) -> Partner:
         raise UsageError(f"{error} Or name a habit, a run folder, a team file or a population.") from None
 
 
+def _check_task(task: str, place: Path | str, env: Env, agent: str) -> None:
+    if task != env.name:
+        raise UsageError(f"{place} is of {task} and cannot play the {agent} in {env.name}; name the task {task}.")
+
+
 def _of_population(population: Population, place: str, env: Env, agent: str) -> Partner:
-    if population.task != env.name:
-        raise UsageError(f"{place} is of {population.task} and cannot play the {agent} in {env.name}.")
+    _check_task(population.task, place, env, agent)
     mine = env.config.human.people
     if agent == "human" and mine != population.people:
         raise UsageError(
@@ -177,8 +181,7 @@ def _trained(trainer: Trainer, params: list[Any], deterministic: bool, trained: 
 
 def _trainer(config: TrainConfig, place: Path, env: Env, agent: str) -> Trainer:
     """The trainer of what lies at `place`, which must be able to play the agent."""
-    if config.task != env.name:
-        raise UsageError(f"{place} was trained for {config.task} and cannot play the {agent} in {env.name}.")
+    _check_task(config.task, place, env, agent)
     there, trainer = trained_env(config)
     if agent not in trainer.learners:
         who = dict(split_pair(text) for text in config.partners)[agent]
