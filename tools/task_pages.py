@@ -47,10 +47,12 @@ BLOCKS = {  # by block of an observation its unit and what it is
     "waist_vector": ("m", "from the middle of the forearm to the waist target"),
     "waist_distance": ("m", "its length"),
     "target_velocity": ("m/s", "velocity of the target"),
+    "clock": ("", "sine and cosine of the phase of a clock of {clock:g} Hz that begins with the episode"),
     "thrown": ("", "1 if the arm moved too fast for help since it last lay still away from the waist, otherwise 0"),
 }
 SPEC_FIELDS = {  # what versions may differ in beside settings, and how it is told
     "bound": "bound of the return",
+    "clock": "Hz, of the clock that the robot sees",
     "preferences_need_help": "preferences pay for speed and force only while it helps",
     "tremor_weakens": "a weak person trembles less, too",
     "rest_pays": "reward term that an early end pays for the steps that are left",
@@ -169,7 +171,7 @@ def observations(env: Env) -> str:
         unit, meaning = BLOCKS[name]
         places = [layout.get(name) for layout in layouts.values()]
         slices = [f"{place.start}:{place.stop}" if place else "–" for place in places]
-        rows.append([f"`{name}`", *slices, unit, meaning.format(joints=joints)])
+        rows.append([f"`{name}`", *slices, unit, meaning.format(joints=joints, clock=env.clock)])
     sizes = [str(env.observation_sizes[agent]) for agent in AGENTS]
     rows.append(["in all", *sizes, str(env.global_size), "", ""])
     return markdown(["block", *layouts, "unit", "what it is"], rows)

@@ -83,8 +83,8 @@ TASKS = {
         "itself. The scratch term pays, and scratching counts, within 10 cm of the itch, wherever the tool touches "
         "the person: also on the other side of the arm.",
         ("upper_arm", "forearm", "hand", "trunk"),
-        "`scratch-v1` counts within 4 cm of the itch. Nearly all itches are so near to what the stick touches "
-        "while the arm rests.",
+        "`scratch-v1` counts within 4 cm of the itch: nearly all itches are so near to what the stick touches while "
+        "the arm rests. Its robot sees no clock.",
     ),
     "bed_bath": Words(
         "The person lies in bed and one side of the right arm is dirty. The robot holds a pad and washes it; the "

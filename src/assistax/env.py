@@ -44,6 +44,7 @@ class EnvConfig:
     control: str = "torque"  # with gravity compensation; or "position", servo targets: 0 where the arm starts
     torque_scale: float = 0.3  # full action, as a fraction of the Panda's torque limits
     reset_noise: float = 0.005  # rad and rad/s, uniform on every joint
+    clock: float | None = None  # Hz, of the clock that the robot sees; 0: it sees none; None: the task's
     force_limit: float = 20.0  # N, above this the force on the person is counted as too high
     human: HumanConfig = field(default_factory=HumanConfig)  # who the person is
     num_threads: int = 0  # of the mujoco engine; 0: all cores
@@ -58,6 +59,8 @@ class EnvConfig:
             raise UsageError(f"env.num_threads must be from 0 (all cores) to 65536, not {self.num_threads}.")
         if not 0 < self.torque_scale <= 1:
             raise UsageError(f"env.torque_scale must be in (0, 1], not {self.torque_scale}.")
+        if self.clock is not None and (isinstance(self.clock, bool) or not isinstance(self.clock, int | float)):
+            raise UsageError(f"env.clock must be a number of Hz, or None for the task's own, not {self.clock!r}.")
         choose("control mode", self.control, ["torque", "position"])
 
 
@@ -123,6 +126,7 @@ class Env:
         self._body = disability.Body(model, driven)
         self.motors = Motors(model, scene, config.human, config.torque_scale, self.spec.tremor_weakens)
         self.action_sizes = self.motors.sizes
+        self.clock = self.spec.clock if config.clock is None else float(config.clock)  # Hz
         self.sensors = Senses(model, self.robot.joints, driven, config.human)
         key = model.key("start")
         movable = np.zeros(model.nq)
@@ -285,6 +289,11 @@ class Env:
         """World position [3] of the task's target."""
         return self.task.markers(self.sensors(state.physics), state.task)
 
+    def beat(self, state: EnvState) -> jax.Array:
+        """Sine and cosine [2] of the phase of the robot's clock, which is 0 at t = 0."""
+        phase = 2.0 * jnp.pi * self.clock * self.dt * state.t
+        return jnp.stack([jnp.sin(phase), jnp.cos(phase)])
+
     # -- parts ---------------------------------------------------------------------------------
 
     def _draw(self, key, person: jax.Array | None = None, before: tuple = ()) -> _Start:
@@ -344,7 +353,10 @@ class Env:
 
     def _blocks(self, state: EnvState) -> Blocks:
         s = self.sensors(state.physics)
-        return self.sensors.blocks(s, self.task.observe(s, state.task), state.person)
+        of_task = self.task.observe(s, state.task)
+        if self.clock:
+            of_task["clock"] = self.beat(state)
+        return self.sensors.blocks(s, of_task, state.person)
 
     def _observe(self, state: EnvState) -> Obs:
         blocks = self._blocks(state)

@@ -11,7 +11,7 @@ from assistax.physics import PhysicsState
 from assistax.tasks.base import Sensors
 
 BODIES = ("theta_robot", "dtheta_robot", "tool_pos", "tool_quat", "tool_force", "theta_human", "dtheta_human")
-_HIDDEN = {"robot": ("theta_human", "dtheta_human"), "human": ("theta_robot", "dtheta_robot"), "global": ()}
+_HIDDEN = {"robot": ("theta_human", "dtheta_human"), "human": ("theta_robot", "dtheta_robot", "clock"), "global": ()}
 
 Blocks = dict[str, jax.Array]
 """Parts of an observation by name, in its order."""

@@ -28,6 +28,7 @@ class TaskSpec:
     bound: float | None = None  # upper bound of the task's return in 1000 steps, if one is known
     preference_budget: float = 1.0  # what preferences pay per step at most
     preferences_need_help: bool = False  # whether they pay only while the robot helps, see Task.helping
+    clock: float = 0.0  # Hz, of the clock that the robot sees, for work that goes to and fro; 0: it sees none
     tremor_weakens: bool = False  # whether a weak person trembles less, too
     rest_pays: str | None = None  # the reward term that an episode which the task ends pays for the steps left, too
 

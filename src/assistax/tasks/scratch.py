@@ -207,7 +207,8 @@ _HELPING = TaskSpec(
     preference_budget=3.165,
     preferences_need_help=True,
 )
-# While the arm rests, nearly all of its skin is within 4 cm of what the stick can touch.
-_NEARER = replace(_HELPING, version=2, config=replace(_HELPING.config, scratch_distance=0.02))
+# While the arm rests, nearly all of its skin is within 4 cm of what the stick can touch. And without a clock a robot
+# that sees where the stick is, but not which way it goes, can only rest where friction holds it.
+_NEARER = replace(_HELPING, version=2, config=replace(_HELPING.config, scratch_distance=0.02), clock=1.5)
 
 SPECS = (_PAPER, _HELPING, _NEARER)

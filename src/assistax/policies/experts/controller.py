@@ -86,9 +86,10 @@ class Expert:
         pos, rot, jacobian = self.tool(qpos)
         start = self.initial_carry()
         carry = jax.tree.map(lambda new, old: jnp.where(reset, new, old), start, carry)
-        goal, carry = self.goal(
-            carry, self.env.sensors(state.physics), state.task, pos, rot, self.manner(state.person.preference)
-        )
+        s = self.env.sensors(state.physics)
+        if self.env.clock:
+            s["clock"] = self.env.beat(state)
+        goal, carry = self.goal(carry, s, state.task, pos, rot, self.manner(state.person.preference))
         velocity = jacobian @ qvel
         error = goal.pos - pos
         error -= goal.free * jnp.dot(goal.free * jnp.ones(3), error)
@@ -115,6 +116,13 @@ def circle(angle, radius, stroke_speed, right, up):
     """(offset [3] in m, velocity [3] in m/s) on a circle between two unit vectors; none at speed 0."""
     offset = radius * (stroke_speed > 0) * (jnp.cos(angle) * right + jnp.sin(angle) * up)
     return offset, stroke_speed * (jnp.cos(angle) * up - jnp.sin(angle) * right)
+
+
+def to_and_fro(beat, mean_speed, frequency):
+    """(place in m, velocity in m/s) along a line of a swing to a clock of `frequency` Hz with the sine and cosine [2]
+    `beat`, that is as fast as `mean_speed` m/s on average."""
+    sine, cosine = beat
+    return mean_speed / (4.0 * frequency) * sine, 0.5 * jnp.pi * mean_speed * cosine
 
 
 def way_of_stroke(along, speed, half, turning) -> jax.Array:

@@ -2,16 +2,17 @@
 
 import jax.numpy as jnp
 
-from assistax.policies.experts.controller import Expert, Goal, turn_to, way_of_stroke
+from assistax.policies.experts.controller import Expert, Goal, to_and_fro, turn_to, way_of_stroke
 from assistax.scenes import geometry
 from assistax.scenes.geometry import norm
 from assistax.tasks.rewards import LEVEL
 
 
 class ScratchExpert(Expert):
-    """Stick on the skin with 3 N, strokes of 6 cm along the limb.
+    """Stick on the skin with 3 N, strokes along the limb: to the robot's clock or, where it has none, of 6 cm.
 
-    It remembers nothing: where the stick is and how it moves says what comes next, so that a learner can imitate it.
+    It remembers nothing, so that a learner can imitate it: the clock says what comes next, or where the stick is and
+    how it moves.
     """
 
     round = True
@@ -39,15 +40,20 @@ class ScratchExpert(Expert):
         least = jnp.clip(3.0 * (wide - 0.02) + 0.4 * (askew - 0.3), 0.0, self.away)
         least = jnp.where(moving, jnp.clip(height, least, self.away), least)
         on_skin = (height < 0.03) & (least < 0.03)
-        speed = t.tool_velocity(s, task) @ axis
-        way = way_of_stroke(along, speed, self.stroke, self.turning)
-        drag = self.drag * jnp.where(jnp.abs(speed) < self.turning, 3.0, 1.0)
-        spot = itch + jnp.clip(along, -self.stroke, self.stroke) * axis
+        if "clock" in s:
+            place, drift = to_and_fro(s["clock"], manner.stroke_speed, self.env.clock)
+            drag = 2.0 * self.drag * s["clock"][1]
+        else:
+            speed = t.tool_velocity(s, task) @ axis
+            way = way_of_stroke(along, speed, self.stroke, self.turning)
+            place, drift = jnp.clip(along, -self.stroke, self.stroke), manner.stroke_speed * way
+            drag = self.drag * way * jnp.where(jnp.abs(speed) < self.turning, 3.0, 1.0)
+        spot = itch + place * axis
         return Goal(
             spot - least * stick,
             turn_to(rot, stick),
             speed=jnp.where(on_skin, 0.1, 0.3),
-            drift=jnp.where(on_skin, manner.stroke_speed * way, 0.0) * axis,
-            press=jnp.where(on_skin, -manner.force, 0.0) * normal + jnp.where(on_skin, drag * way, 0.0) * axis,
+            drift=jnp.where(on_skin, drift, 0.0) * axis,
+            press=jnp.where(on_skin, -manner.force, 0.0) * normal + jnp.where(on_skin, drag, 0.0) * axis,
             free=jnp.where(on_skin, 1.0, 0.0) * normal,
         ), carry
