@@ -14,7 +14,7 @@ import jax
 import numpy as np
 import pytest
 from safetensors.numpy import load_file
-from stored import store_checkpoint, train_without_pictures
+from stored import SMALL, store_checkpoint, train_without_pictures
 
 from assistax.cli.export import export
 from assistax.errors import UsageError
@@ -26,9 +26,6 @@ from assistax.training.loop import train
 from assistax.training.partners import find_partner
 from assistax.training.run import Run
 from assistax.training.team_file import load_team, read_measured, save_team
-
-SMALL = {"ppo.num_steps": 8, "ppo.num_minibatches": 2, "ppo.update_epochs": 1, "ppo.hidden": (8, 8)}
-SMALL |= {"env.episode_length": 16}
 
 
 def small(algorithm="ippo", **choices):
