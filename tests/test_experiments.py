@@ -121,17 +121,17 @@ def test_names_are_unique_and_chosen_by_pattern():
 
 def test_the_list_begins_with_five_seeds_of_every_task():
     names = [e.name for e in experiments()]
-    assert names[0] == "version2/scratch-ippo-default-10M-0"
+    assert names[0] == "version2/scratch-ippo-default-4M-0"
     assert all(name.startswith(("version1/", "version2/")) and "-ippo-default-" in name for name in names[:25])
-    assert sum("scratch" in name and "-10M-" in name for name in names[:25]) == 5
+    assert sum("scratch" in name and "-4M-" in name for name in names[:25]) == 5
     assert sum("bed_bath" in name and "-6M-" in name for name in names[:25]) == 5
     assert sum("-2M-" in name for name in names[:25]) == 15
     assert {name[-1] for name in names[:25]} == set("01234")
     for pattern, count in {
         "-still-": 15 + 3,  # of version 1 what was measured before there was a version 2
         "-keeps_still-": 2 + 1,
-        "-preferences-10M-": 3 + 3 + 20,
-        "-preferences-4M-": 9 + 3,
+        "-preferences-10M-": 3 + 20,
+        "-preferences-4M-": 12 + 3,
         "version2/feeding-ippo-default-tremor-": 1,
         "-untaught-4M-": 9 + 3,
     }.items():

@@ -27,8 +27,8 @@ from assistax.training.presets import TASKS, UNTAUGHT
 ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
 STEPS = {"default": 10_000_000, "paper": 40_000_000}  # of PPO by preset; ours take half an hour
 # ... but of the versions from 1 on, where teachers help; the second with preferences.
-TAUGHT = dict.fromkeys(TASKS, 2_000_000) | {"scratch": STEPS["default"], "bed_bath": 6_000_000}
-VARIED = dict.fromkeys(TASKS, 4_000_000) | {"scratch": STEPS["default"], "bed_bath": 6_000_000}
+TAUGHT = dict.fromkeys(TASKS, 2_000_000) | {"scratch": 4_000_000, "bed_bath": 6_000_000}
+VARIED = dict.fromkeys(TASKS, 4_000_000) | {"bed_bath": 6_000_000}
 UNHELPED = TAUGHT | {"arm_assist": 4_000_000}  # a robot alone does not lift the arm in 2 M
 NEED_TWO = ("scratch", "bed_bath")
 ALONE = "-untaught"  # what are the teachers worth?
@@ -279,8 +279,9 @@ def _of_version_1(seeds: int | None) -> Iterator[Experiment]:
     former = partial(_trainings, "ippo", "default", version=1)
     for people, number in {"": 5, "-still": 3, "-keeps_still": 1}.items():
         yield from former(people, seeds or number, 6_000_000, tasks=("scratch",))
+    yield from former("-preferences", seeds or 3, STEPS["default"], tasks=("scratch",))
     yield from former("", seeds or 5, tasks=("feeding",))
-    yield from former("-preferences", seeds or 3, tasks=("scratch", "feeding"))
+    yield from former("-preferences", seeds or 3, tasks=("feeding",))
     yield from former(ALONE, seeds or 3, steps=4_000_000, tasks=("feeding",))
     yield from _trainings("mappo", "default", "", 1, version=1, tasks=("feeding",))
 
