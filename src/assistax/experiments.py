@@ -255,7 +255,6 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     """All of them, what matters most first; `seeds` of each training, or as many as are planned of it."""
     some = ("scratch", "arm_assist", "feeding")
     yield from _trainings("ippo", "default", "", seeds or 5)
-    yield from _trainings("ippo", "default", "", seeds or 5, STEPS["default"], tasks=("bed_bath",))  # better still
     yield from _trainings("ippo", "default", "-preferences", seeds or 3)
     yield from _robots("scratch-v1", "taught", 8_000_000, seeds)  # at 4 M they have 60 % and are still rising
     yield from _robots("feeding-v1", "random", 2_000_000, seeds, (*SEVERAL, *HIDDEN))
@@ -279,6 +278,9 @@ def _of_version_1(seeds: int | None) -> Iterator[Experiment]:
     former = partial(_trainings, "ippo", "default", version=1)
     for people, number in {"": 5, "-still": 3, "-keeps_still": 1}.items():
         yield from former(people, seeds or number, 6_000_000, tasks=("scratch",))
+    for people, number in {"": 5, "-still": 1, "-preferences": 3}.items():
+        yield from former(people, seeds or number, tasks=("bed_bath",))
+    yield from former("", seeds or 2, STEPS["default"], tasks=("bed_bath",))
     yield from former("-preferences", seeds or 3, STEPS["default"], tasks=("scratch",))
     yield from former("", seeds or 5, tasks=("feeding",))
     yield from former("-preferences", seeds or 3, tasks=("feeding",))

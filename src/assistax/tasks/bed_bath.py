@@ -3,7 +3,7 @@
 Paper: task "Bed Bath"; reward components r_t and r_w.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import ClassVar
 
@@ -268,38 +268,39 @@ class BedBath:
 
 _SCENE = SceneConfig("bed", "lying", "wiper", (-0.25, -0.9, 0.32), pi / 2, RIGHT_ARM, **BED_VIEW)
 
-SPECS = (
-    TaskSpec(
-        "bed_bath",
-        0,
-        BedBath,
-        _SCENE,
-        expert="assistax.policies.experts.bed_bath:BedBathExpert",
-        bound=1156,
-        preference_budget=1.156,
-        tremor_weakens=True,
-    ),
-    TaskSpec(
-        "bed_bath",
-        1,
-        BedBath,
-        limited(_SCENE, *SEGMENTS),
-        BedBathConfig(
-            around=True,
-            sided=True,
-            reach_each=True,
-            dirty=pi / 3,
-            touch_force=0.5,
-            most_force=15.0,
-            speed=(0.02, 0.4),
-            wash_seconds=0.08,
-            wipe_scale=12.0,
-            success_fraction=0.75,
-        ),
-        expert="assistax.policies.experts.bed_bath:BathAroundExpert",
-        bound=1624,
-        preference_budget=1.624,
-        preferences_need_help=True,
-        rest_pays="reach",
-    ),
+_PAPER = TaskSpec(
+    "bed_bath",
+    0,
+    BedBath,
+    _SCENE,
+    expert="assistax.policies.experts.bed_bath:BedBathExpert",
+    bound=1156,
+    preference_budget=1.156,
+    tremor_weakens=True,
 )
+_HELPING = TaskSpec(
+    "bed_bath",
+    1,
+    BedBath,
+    limited(_SCENE, *SEGMENTS),
+    BedBathConfig(
+        around=True,
+        sided=True,
+        reach_each=True,
+        dirty=pi / 3,
+        touch_force=0.5,
+        most_force=15.0,
+        speed=(0.02, 0.4),
+        wash_seconds=0.08,
+        wipe_scale=12.0,
+        success_fraction=0.75,
+    ),
+    expert="assistax.policies.experts.bed_bath:BathAroundExpert",
+    bound=1624,
+    preference_budget=1.624,
+    preferences_need_help=True,
+    rest_pays="reach",
+)
+_TO_A_CLOCK = replace(_HELPING, version=2, clock=1.5)
+
+SPECS = (_PAPER, _HELPING, _TO_A_CLOCK)

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from assistax.policies.experts.controller import Expert, Goal, turn_to, way_of_stroke
+from assistax.policies.experts.controller import Expert, Goal, to_and_fro, turn_to, way_of_stroke
 from assistax.scenes import geometry
 from assistax.scenes.geometry import norm
 from assistax.tasks.base import tool_velocity
@@ -50,8 +50,8 @@ class BedBathExpert(Expert):
 class BathAroundExpert(Expert):
     """Pad flat on the skin, in strokes from each dirty point to the one that is best to reach from there.
 
-    So that a learner can imitate it, it remembers nothing and goes to the point that is observed. While the person
-    moves, it keeps off the skin.
+    So that a learner can imitate it, it remembers nothing, goes to the point that is observed and strokes to the
+    robot's clock, if it has one. While the person moves, it keeps off the skin.
     """
 
     round = True
@@ -95,16 +95,22 @@ class BathAroundExpert(Expert):
         moving = jnp.abs(s["dtheta_human"]).max() > self.still
         on_skin = self._about(0.03 - height) * self._about(0.02 - least) * ~moving
         back = (norm(vectors).min() < 0.35) * (geometry.unit((self._base - pos) * LEVEL) + 0.5 * UP)
-        speed = jnp.stack([tool_velocity(s, segment) for segment in SEGMENTS])[part] @ axis
-        way = way_of_stroke(along, speed, self.stroke, self.turning)
-        drag = self.drag * jnp.where(jnp.abs(speed) < self.turning, 3.0, 1.0)
-        place = spot + jnp.clip(along, -self.stroke, self.stroke) * axis + least * out
+        if "clock" in s:
+            swing, drift = to_and_fro(s["clock"], manner.stroke_speed, self.env.clock)
+            drag = 2.0 * self.drag * s["clock"][1]
+        else:
+            speed = jnp.stack([tool_velocity(s, segment) for segment in SEGMENTS])[part] @ axis
+            way = way_of_stroke(along, speed, self.stroke, self.turning)
+            swing = jnp.clip(along, -self.stroke, self.stroke)
+            drift = self._about(self.stroke - jnp.abs(along)) * manner.stroke_speed * way
+            drag = self.drag * way * jnp.where(jnp.abs(speed) < self.turning, 3.0, 1.0)
+        place = spot + swing * axis + least * out
         coming = jnp.clip(3.0 * norm(off), self.land, self.travel)
         return Goal(
             jnp.where(moving, pos + 0.15 * back, place),
             turn_to(rot, -out),
             speed=jnp.where(moving, 0.8, coming + on_skin * (self.slide - coming)),
-            drift=on_skin * self._about(self.stroke - jnp.abs(along)) * manner.stroke_speed * way * axis,
-            press=on_skin * (drag * way * axis - manner.force * out),
+            drift=on_skin * drift * axis,
+            press=on_skin * (drag * axis - manner.force * out),
             free=on_skin * out,
         ), carry
