@@ -52,7 +52,7 @@ def test_the_wrong_side_of_the_arm_does_not_itch():
 
 
 def test_itches_are_uniform_over_all_of_the_skin_between_shoulder_and_wrist():
-    env, _ = at_rest("scratch")
+    env = env_of("scratch-v1")
     states = jax.vmap(env.task.reset)(jax.random.split(jax.random.key(0), 4000))
     height, angle = jax.vmap(env.task.place)(states)
     limbs = [scenes.geometry.capsule(env.model, f"right_{part}") for part in ("upper_arm", "forearm")]
@@ -124,6 +124,23 @@ def test_the_side_of_an_itch_is_seen_and_reach_leads_around_the_arm_to_it(place)
     limb = scenes.geometry.capsule(env.model, body)
     np.testing.assert_allclose(seen["target_axis"], frame.reshape(3, 3) @ limb.axis, atol=1e-5)
     assert float(env.task.reward_terms(now, state)["reach"]) == pytest.approx(np.exp(-(way**2) / 0.1), abs=1e-5)
+
+
+def test_it_itches_everywhere_but_where_nobody_can_scratch():
+    """Version 2 spares a twelfth of the forearm's girth; all else itches evenly, and the upper arm as often."""
+    env = env_of("scratch-v2")
+    states = jax.vmap(env.task.reset)(jax.random.split(jax.random.key(0), 20_000))
+    height, angle = (np.asarray(x) for x in jax.vmap(env.task.place)(states))
+    fore, degrees = np.asarray(states.segment) == 1, np.degrees(angle) % 360.0
+    assert not (fore & (degrees > 90.01) & (degrees < 119.99)).any()
+    counts = {part: np.histogram(degrees[of], np.arange(0, 361, 30))[0] for part, of in (("f", fore), ("u", ~fore))}
+    for part, bins in (("f", [i for i in range(12) if i != 3]), ("u", range(12))):
+        share = counts[part][bins] / counts[part].sum()
+        np.testing.assert_allclose(share, 1.0 / len(bins), rtol=0.2)
+    limbs = [scenes.geometry.capsule(env.model, f"right_{part}") for part in ("upper_arm", "forearm")]
+    skin = [limb.radius * limb.half_length for limb in limbs]
+    assert fore.mean() == pytest.approx(11 / 12 * skin[1] / (skin[0] + 11 / 12 * skin[1]), abs=0.01)
+    assert np.abs(height).max() <= 1.001 and np.histogram(height, 10)[0].min() > 1700
 
 
 def test_the_other_side_of_the_arm_is_paid_much_less_for_being_near():

@@ -237,7 +237,8 @@ class _Degrees:
         self._config = config
 
     def __getitem__(self, name: str) -> str:
-        return f"{degrees(getattr(self._config, name)):.0f}"
+        value = getattr(self._config, name)
+        return " to ".join(f"{degrees(x):.0f}" for x in (value if isinstance(value, tuple) else (value,)))
 
 
 def _filled(template: str, **fields: Any) -> str:

@@ -78,13 +78,14 @@ TASKS = {
         "The itch: upper arm or forearm, each as likely as it has skin; a place along the segment between "
         "{c.height[0]:g} and {c.height[1]:g} half-lengths from its middle, and an angle of up to {deg[angle]}° to "
         "either side of the one that faces away from the trunk, both uniform. That is all of the skin between "
-        "shoulder and wrist. Two in five itches can only be reached if the person moves (`tools/offers.py`).",
+        "shoulder and wrist but for a strip of the forearm, {deg[spared]}°, where no posture that was found lets the "
+        "stick work. Two in five itches can only be reached if the person moves (`tools/offers.py`).",
         "The itch lies on the outer side of the arm, away from elbow and wrist, where the robot reaches it by "
         "itself. The scratch term pays, and scratching counts, within 10 cm of the itch, wherever the tool touches "
         "the person: also on the other side of the arm.",
         ("upper_arm", "forearm", "hand", "trunk"),
         "`scratch-v1` counts within 4 cm of the itch: nearly all itches are so near to what the stick touches while "
-        "the arm rests. Its robot sees no clock.",
+        "the arm rests. Its robot sees no clock, and its forearm itches all around.",
     ),
     "bed_bath": Words(
         "The person lies in bed and one side of the right arm is dirty. The robot holds a pad and washes it; the "
@@ -130,6 +131,7 @@ TASKS = {
         "anything within 5 cm of it once, however fast or hard, and 90 % make a success. An episode that ends early "
         "loses the reach reward of the steps that are left.",
         ("upper_arm", "forearm", "hand"),
+        "`bed_bath-v1` is the same but for the clock, which its robot does not see.",
     ),
     "arm_assist": Words(
         "The person lies in bed with a weak right arm that hangs over the edge. The robot holds a hook, lifts the "

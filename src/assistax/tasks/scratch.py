@@ -37,6 +37,7 @@ class ScratchConfig:
     # angle of the side that faces away from the trunk.
     height: tuple[float, float] = (-0.8, 0.8)
     angle: float = 1.0  # rad
+    spared: tuple[float, float] = (0.0, 0.0)  # rad, on the forearm: where it never itches, as nobody could scratch it
     by_area: bool = False  # whether a segment itches as often as it has skin, or both alike
     # What counts as scratching, and for how long it must last to be a success.
     scratch_distance: float = 0.1  # m, from the tool point to the itch
@@ -68,6 +69,7 @@ class Scratch:
         self._length = jnp.array([c.half_length for c in capsules])
         self._radius = jnp.array([c.radius for c in capsules])
         skin = np.array([c.radius * c.half_length for c in capsules])
+        skin[1] *= 1.0 - (config.spared[1] - config.spared[0]) / (2.0 * pi)
         self._on_forearm = float(skin[1] / skin.sum()) if config.by_area else 0.5
         # Angles are measured around the axis from the side that faces away from the trunk at rest.
         outward = [
@@ -83,6 +85,8 @@ class Scratch:
         segment = (u[0] < self._on_forearm).astype(jnp.int32)
         height = (c.height[0] + (c.height[1] - c.height[0]) * u[1]) * self._length[segment]
         angle = c.angle * (2.0 * u[2] - 1.0)
+        if (spared := c.spared[1] - c.spared[0]) > 0.0:
+            angle = jnp.where(segment == 1, c.spared[1] + (2.0 * pi - spared) * u[2], angle)
         normal = jnp.cos(angle) * self._outward[segment] + jnp.sin(angle) * self._side[segment]
         itch = self._centre[segment] + height * self._axis[segment] + self._radius[segment] * normal
         return ScratchState(segment, itch, jnp.float32(0.0))
@@ -209,6 +213,11 @@ _HELPING = TaskSpec(
 )
 # While the arm rests, nearly all of its skin is within 4 cm of what the stick can touch. And without a clock a robot
 # that sees where the stick is, but not which way it goes, can only rest where friction holds it.
-_NEARER = replace(_HELPING, version=2, config=replace(_HELPING.config, scratch_distance=0.02), clock=1.5)
+_NEARER = replace(
+    _HELPING,
+    version=2,
+    config=replace(_HELPING.config, scratch_distance=0.02, spared=(pi / 2, 2 * pi / 3)),
+    clock=1.5,
+)
 
 SPECS = (_PAPER, _HELPING, _NEARER)
