@@ -271,7 +271,7 @@ def said_of_harm(after, info):
 
 
 TASKS = {f.__name__: f for f in (scratch, bed_bath, arm_assist, feeding, tooth_brushing)}
-NEWEST, EARLIER = [task_spec(name).id for name in TASKS], ["scratch-v1", "feeding-v1"]
+NEWEST, EARLIER = [task_spec(name).id for name in TASKS], ["scratch-v1", "bed_bath-v1", "feeding-v1"]
 
 
 def played(env, who, steps, poses=None):
