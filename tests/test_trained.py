@@ -12,6 +12,7 @@ LEAST |= {
     "scratch-v1": 0.75,
     "scratch-v2": 0.75,
     "bed_bath-v1": 0.75,
+    "bed_bath-v2": 0.6,
     "arm_assist-v1": 1.0,
     "feeding-v1": 1.0,
     "feeding-v2": 1.0,
