@@ -1,7 +1,8 @@
 """Which tasks there are, and in which versions.
 
-A version is a row of settings of one class. `scratch-v0` is the paper's; any change to scene, reward or outcome makes
-a new one, and a bare name means the newest. Another task is a class with the interface of `tasks.base.Task`, and a row:
+A version is a row of settings of one class. `scratch-v0` is the paper's; any change to scene, observations, reward or
+outcome makes a new one, and a bare name means the newest. Another task is a class with the interface of
+`tasks.base.Task`, and a row:
 
     register_task(TaskSpec("pouring", 0, Pouring, SceneConfig(...)))
 """
