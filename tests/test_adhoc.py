@@ -296,7 +296,7 @@ def test_a_robot_that_observes_something_else_is_refused_before_anybody_plays(ro
     other = stored_run(tmp_path / "other", configure("scratch", blind))
     monkeypatch.setattr(Meeting, "references", lambda *_: pytest.fail("somebody played"))
     for runs in ([made["br"], other], [other]):
-        with pytest.raises(UsageError, match="observes 40 numbers, but beside these partners 47: its people had no"):
+        with pytest.raises(UsageError, match="observes 42 numbers, but beside these partners 49: its people had no"):
             report({"mine": runs}, parts_of(root, "test"), episodes=1)
 
 

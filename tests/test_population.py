@@ -384,7 +384,7 @@ def test_members_of_every_kind_act_as_in_their_runs_and_forget_at_the_end_of_an_
                 wanted, carry = policy.act(params[agent], carry, obs, jnp.bool_(t == 0), jax.random.key(1))
                 np.testing.assert_allclose(actions[t, i], wanted, atol=2e-3, err_msg=f"{name}, step {t}")
             remembers = name in ("GRU", "model of the partner", "mappo")
-            assert (np.abs(unending[4, i] - actions[4, i]).max() > 0.01) == remembers, name
+            assert (np.abs(unending[4, i] - actions[4, i]).max() > 1e-3) == remembers, name
         assert len({tuple(one) for one in actions[0].round(3).tolist()}) == number
 
 
