@@ -44,6 +44,18 @@ Sixteen trainings of {jobs_steps} steps, the whole command from an empty cache o
 
 {jobs}
 
+## Start-up
+
+Seconds on the same machine, from an empty cache of compiled programs or, warm, from a filled one
+(`benchmarks/start_up.py`, `results/bench/start_up`):
+
+{waits}
+
+A cold start compiles for 54 s of one core: the networks' first state 14, collecting 29, improving 12. XLA shares that
+between the cores by itself. Compiling all three at once, each in its own thread, made a cold start no shorter, 55 s
+and 53 s without (measured once). A warm start traces and lowers the same programs, which is Python's work and takes
+one core.
+
 ## What version 1 costs
 
 Of version 0's rates on one core, with 256 environments, the fastest of {rounds} short rounds in which versions take
@@ -107,12 +119,14 @@ def page(folder: Path, pictures: Path) -> str:
         "machines": "\n\n".join(machines),
         "others": markdown(head, others),
         "stages": _stages(folder / "profile" / f"{TWO_CORES}.json"),
+        "waits": _waits(folder / "start_up" / f"{TWO_CORES}.json"),
         "versions": _versions(folder / "versions/one_core.json"),
         **_arrangements(folder / "executors/two_cores.json"),
     }
     return PAGE.format(**parts)
 
 
+STARTS = (("", "cold"), (", warm", "warm"))
 MORE_CORES = (4, 8, 16, 64)
 WAYS = {"here": "one process, both cores", "local": "`local`, two processes", "ray": "`ray`, two workers"}
 
@@ -151,6 +165,15 @@ def _more(rates: dict[str, float], count: int) -> tuple[float, float]:
     two, one, pinned = list(rates.values())[:3]
     shared = min(2 * (1 / one - 1 / two), 1 / one)
     return 1 / (1 / one - shared + shared / count), count * pinned / 2
+
+
+def _waits(path: Path) -> str:
+    """A table of how long one waits."""
+    found = json.loads(path.read_text())["seconds"]
+    waits = [["`import assistax`", f"{found.pop('import'):.2f}"], ["`assistax --help`", f"{found.pop('help'):.2f}"]]
+    for task, wait in found.items():
+        waits += [[f"`assistax train {task}`, to its first update{how[0]}", f"{wait[how[1]]:.0f}"] for how in STARTS]
+    return markdown(["what", "s"], waits)
 
 
 def _versions(path: Path) -> str:
