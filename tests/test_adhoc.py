@@ -221,6 +221,21 @@ def test_robots_of_other_settings_are_not_compared(robots, tmp_path):
         report({"br": [made["br"]], "longer": [longer]}, parts_of(root, "test"), episodes=1)
 
 
+def test_robots_with_and_without_a_clock_are_compared(robots, tmp_path):
+    root, made = robots
+    settings = {k: v for k, v in SETTINGS.items() if "human" not in k} | {"env.episode_length": 20, "env.clock": 0.0}
+    without = stored_run(tmp_path / "w", configure("scratch", settings, partners=made["br"].config.partners))
+    assert without.env.observation_sizes["robot"] == made["br"].env.observation_sizes["robot"] - 2
+    both, alone = (
+        report({name: [one] for name, one in methods.items()}, parts_of(root, "test"), episodes=1)
+        for methods in ({"without": without, "br": made["br"]}, {"br": made["br"]})
+    )
+    for group, name in (("methods", "br"), ("references", "own"), ("references", "expert")):
+        got, want = (found["test"][group][name]["return"]["by_pair"] for found in (both, alone))
+        np.testing.assert_array_equal(got, want)
+    assert both["runs"]["without"][0]["clock"] == 0.0 and "clock" not in both["runs"]["br"][0]
+
+
 def test_members_who_observe_something_else_are_one_line(population):
     """They were trained without seeing the preferences that people here see."""
     env = assistax.make("scratch-v2", engine="mujoco", human={"people": population.people, "visibility": "none"})

@@ -121,12 +121,13 @@ def _check(entrants: Sequence[Entrant], people: Sequence[Entrant] | None) -> Non
                 )
 
 
-def check_alike(envs: Sequence[tuple[Any, Env]]) -> None:
-    """Raise UsageError unless these environments, each with a name, differ in nothing but who the person is."""
+def check_alike(envs: Sequence[tuple[Any, Env]], free: Sequence[str] = ()) -> None:
+    """Raise UsageError unless these environments, each with a name, differ in nothing but who the person is and in
+    the settings that are `free` to differ."""
     for place, env in envs[1:]:
         ours, theirs = _settings(envs[0][1]), _settings(env)
         for name, value in ours.items():
-            if not name.startswith("env.human.") and theirs.get(name, value) != value:
+            if not name.startswith("env.human.") and name not in free and theirs.get(name, value) != value:
                 raise UsageError(
                     f"{name} is {value} in {envs[0][0]} and {theirs[name]} in {place}; "
                     "only what was measured in one task with the same settings can be compared."

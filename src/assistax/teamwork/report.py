@@ -115,7 +115,9 @@ class Meetings:
 
     def __init__(self, config: TrainConfig, population: Population, episodes: int):
         self.population, self.episodes = population, episodes
-        self.config = config = _meeting_config(config, population, visibility="both")
+        config = _meeting_config(config, population, visibility="both")
+        # Each of the runs may have a clock of its own; the partners' own robots see the task's, if it has one.
+        self.config = config = dataclasses.replace(config, env=dataclasses.replace(config.env, clock=None))
         self.plain = Meeting(Env(config.task, config.engine, config.env, config.task_config), population, episodes)
         self._made: dict[Any, Meeting] = {(config.env, config.task_config): self.plain}
 
@@ -212,7 +214,14 @@ def _about(one: Run | Player) -> dict[str, Any]:
     if isinstance(one, Player):
         return {"policy": type(one.policy).__name__}
     config = one.config
-    about = {"run": one.folder.name, "algorithm": config.algorithm, "steps": config.steps, "seeds": list(config.seeds)}
+    about: dict[str, Any] = {
+        "run": one.folder.name,
+        "algorithm": config.algorithm,
+        "steps": config.steps,
+        "seeds": list(config.seeds),
+    }
+    if config.env.clock is not None:
+        about["clock"] = config.env.clock
     settings = {name: value for name, value in to_json(config).items() if name != "stamp"}
     return about | {"config": hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]}
 
