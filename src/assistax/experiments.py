@@ -61,6 +61,7 @@ class Method:
 STAYS = {"env.human.redraw_every": 3}
 METHODS = {
     "best-response": Method(),
+    "best-response-clock": Method(settings={"env.clock": 1.5}),  # where the task has none
     "untaught": Method(settings=UNTAUGHT),
     "asymmetric": Method(settings={"ppo.critic_knows_partner": True}),
     "fcp": Method("train+earlier"),
@@ -257,6 +258,7 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     yield from _trainings("ippo", "default", "", seeds or 5)
     yield from _trainings("ippo", "default", "-preferences", seeds or 3)
     yield from _robots("scratch-v1", "taught", 8_000_000, seeds)  # at 4 M they have 60 % and are still rising
+    yield from _robots("scratch-v1", "taught", 4_000_000, seeds or 3, ("best-response-clock",))
     yield from _robots("feeding-v1", "random", 2_000_000, seeds, (*SEVERAL, *HIDDEN))
     yield from _robots("feeding-v1", "extreme", 2_000_000, seeds, ("best-response", "sac"))
     yield from _trainings("ippo", "default", "-still", seeds or 3)
