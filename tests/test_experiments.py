@@ -153,13 +153,14 @@ def test_robots_learn_beside_the_people_of_the_split(asked, tmp_path, monkeypatc
     splits.save(tmp_path / "taught.json", splits.split(Population.load("populations/scratch-v1"), "taught"))
     monkeypatch.setattr(splits, "path_of", lambda folder, kind: tmp_path / f"{kind}.json")
     chosen = [e for e in experiments() if e.name.startswith("teamwork/scratch-v1/runs/taught-")]
-    assert len(chosen) == 3 + 2 * 10 and len({e.name for e in chosen}) == len(chosen)
+    assert len(chosen) == 3 + 3 + 2 * 10 and len({e.name for e in chosen}) == len(chosen)
     for one in chosen:
         assert one.advance(tmp_path / "none", 1.0) is None
     by_method = dict(zip([one.method for one in chosen], asked, strict=True))
     train = splits.named("populations/scratch-v1:taught/train")[1]
     assert by_method["best-response"].partners == ("human=populations/scratch-v1:taught/train",)
     assert by_method["best-response"].env.human.people == train.people and by_method["best-response"].method.teachers
+    assert by_method["best-response-clock"].env.clock == 1.5 and by_method["best-response"].env.clock is None
     assert by_method["fcp"].partners == ("human=populations/scratch-v1:taught/train+earlier",)
     assert len(by_method["fcp"].env.human.people) == 3 * len(train)
     assert by_method["self-play"].partners == () and by_method["self-play"].env.human.people == train.people

@@ -26,7 +26,7 @@ who knows them; still, random and expert know nobody, the last one being told al
 
 {each}
 """
-ONE = """## {task}, split `{split}`
+ONE = """## {task}, {title}
 
 {train} people to train with and {test} strangers, {episodes} episodes with each. {scored}
 
@@ -36,7 +36,7 @@ Safe success with strangers by who they are:
 
 {kinds}
 
-![Safe success with people of training and strangers](images/strangers_{task}_{split}.png)"""
+![Safe success with people of training and strangers](images/strangers_{task}_{name}.png)"""
 
 
 def page(results: Path, pictures: Path) -> str:
@@ -51,11 +51,13 @@ def _any(path: Path) -> Mapping[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _one(found: Mapping[str, Any], split: str, pictures: Path) -> str:
-    picture(found, pictures / f"strangers_{found['task']}_{split}.png")
+def _one(found: Mapping[str, Any], name: str, pictures: Path) -> str:
+    picture(found, pictures / f"strangers_{found['task']}_{name}.png")
+    split, _, about = name.partition("-")
     return ONE.format(
         task=found["task"],
-        split=split,
+        name=name,
+        title=f"split `{split}`" + (f": {about}" if about else ""),
         train=len(found["partners"]["train"]),
         test=len(found["partners"]["test"]),
         episodes=found["episodes"],
