@@ -36,7 +36,12 @@ PEOPLE = ("none", "tremor", "weakness", "limited_range", "strength=0.5")
 @pytest.fixture(scope="module")
 def population():
     """Five untrained members with preferences."""
-    env = assistax.make("scratch-v2", engine="mujoco", human={"preference": "default"})
+    return untrained()
+
+
+def untrained(clock=None):
+    """Five untrained teams with preferences, whose robots see such a clock."""
+    env = assistax.make("scratch-v2", engine="mujoco", clock=clock, human={"preference": "default"})
     trainer = PPO(env, CONFIG, 2, 1)
     init, made = jax.jit(trainer.init), []
     for seed, words in enumerate(PEOPLE):
@@ -234,6 +239,16 @@ def test_robots_with_and_without_a_clock_are_compared(robots, tmp_path):
         got, want = (found["test"][group][name]["return"]["by_pair"] for found in (both, alone))
         np.testing.assert_array_equal(got, want)
     assert both["runs"]["without"][0]["clock"] == 0.0 and "clock" not in both["runs"]["br"][0]
+
+
+def test_own_robots_see_the_clock_that_they_learned_with(tmp_path):
+    """The task's, see above, or that of the runs."""
+    population = untrained(clock=0.0)
+    settings = {k: v for k, v in SETTINGS.items() if "human" not in k} | {"env.episode_length": 20, "env.clock": 0.0}
+    settings["env.human.people"] = population.people
+    robot = stored_run(tmp_path / "robot", configure("scratch", settings, partners=("human=shy",)))
+    found = report({"shy": [robot]}, {"test": population}, episodes=1)
+    assert found["env"]["clock"] == 0.0 and np.isfinite(found["test"]["references"]["own"]["return"]["by_pair"]).all()
 
 
 def test_members_who_observe_something_else_are_one_line(population):

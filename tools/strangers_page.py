@@ -41,7 +41,11 @@ Safe success with strangers by who they are:
 
 def page(results: Path, pictures: Path) -> str:
     """The page; its pictures go to the folder `pictures`."""
-    paths = [path for path in sorted(results.glob("*/*.json")) if "people" in (one := _any(path)) and "gap" in one]
+    paths = [
+        path
+        for path in sorted(results.glob("*/*.json"), key=lambda path: path.with_suffix(""))
+        if "people" in (one := _any(path)) and "gap" in one
+    ]
     return PAGE.format(each="\n\n".join(_one(read_json(path, TEAMWORK), path.stem, pictures) for path in paths))
 
 

@@ -116,9 +116,13 @@ class Meetings:
     def __init__(self, config: TrainConfig, population: Population, episodes: int):
         self.population, self.episodes = population, episodes
         config = _meeting_config(config, population, visibility="both")
-        # Each of the runs may have a clock of its own; the partners' own robots see the task's, if it has one.
-        self.config = config = dataclasses.replace(config, env=dataclasses.replace(config.env, clock=None))
-        self.plain = Meeting(Env(config.task, config.engine, config.env, config.task_config), population, episodes)
+        # Each of the runs may have a clock of its own. The partners' own robots see the task's, or that of the runs.
+        for clock in dict.fromkeys((None, config.env.clock)):
+            config = dataclasses.replace(config, env=dataclasses.replace(config.env, clock=clock))
+            env = Env(config.task, config.engine, config.env, config.task_config)
+            if population.observes("robot") <= {env.observation_sizes["robot"]}:
+                break
+        self.config, self.plain = config, Meeting(env, population, episodes)
         self._made: dict[Any, Meeting] = {(config.env, config.task_config): self.plain}
 
     def of(self, run: Run) -> Meeting:

@@ -237,6 +237,10 @@ class Population:
             return dataclasses.replace(players[0], by_person=by_person)
         return Mixed.of_players(players, kind, place, by_person)
 
+    def observes(self, agent: str) -> set[int]:
+        """How many numbers the members' policies of this agent observe; nothing of people with habits."""
+        return {one[agent]["normalizer"]["mean"].shape[-1] for one in self.weights.values() if agent in one}
+
     def check_observations(self, agent: str, env: Env, place: Path | str) -> None:
         """Raise UsageError, naming `place`, if a member's policy of this agent observes something else in `env`."""
         for name, policies in self.weights.items():
