@@ -267,6 +267,31 @@ def test_contact_sensors(scene):
         assert data.sensordata[at[name]] == pytest.approx(value, abs=1e-6), name
 
 
+def test_an_arm_and_a_mattress_named_as_pairs_touch_as_by_type(scene):
+    """Wherever the joints are: all contacts to the bit and in the order in which MuJoCo finds them by contype alone."""
+    config, _ = scene
+    by_name, by_type = (scenes.build(config, visuals=False) for _ in range(2))
+    for pair in list(by_type.pairs):
+        by_type.delete(pair)
+    if config.furniture == "bed":
+        by_type.geom("mattress").conaffinity = 3
+    models = by_name.compile(), by_type.compile()
+    named, typed = (mujoco.MjData(model) for model in models)
+    low, high = models[0].jnt_range.T
+    pairs = {*zip(models[0].pair_geom1, models[0].pair_geom2, strict=True)}
+    rng, touched = np.random.default_rng(0), 0
+    for _ in range(1000):
+        qpos = rng.uniform(low, high)
+        for model, data in zip(models, (named, typed), strict=True):
+            data.qpos = qpos
+            mujoco.mj_forward(model, data)
+        for field in ("geom", "dist", "pos", "frame", "dim", "friction", "solref", "solimp"):
+            np.testing.assert_array_equal(getattr(named.contact, field), getattr(typed.contact, field))
+        touched += sum((a, b) in pairs or (b, a) in pairs for a, b in named.contact.geom)
+    assert models[1].npair == 0
+    assert (len(pairs), touched > 100) == ((3, True) if config.furniture == "bed" else (0, False))
+
+
 def test_solver_converges(scene):
     """The chosen iterations give what a hundred give, while the tool presses on the arm."""
     _, model = scene
