@@ -53,8 +53,8 @@ Seconds on the same machine, from an empty cache of compiled programs or, warm, 
 
 A cold start compiles for 54 s of one core: the networks' first state 14, collecting 29, improving 12 (measured once).
 XLA shares that between the cores by itself. Compiling all three at once, each in its own thread, made a cold start no
-shorter, 55 s and 53 s without (measured once, another day). A warm start traces and lowers the same programs, which is Python's work and takes
-one core.
+shorter, 55 s and 53 s without (measured once, another day). A warm start traces and lowers the same programs, which is
+Python's work and takes one core.
 
 ## What version 1 costs
 
