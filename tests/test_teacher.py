@@ -61,8 +61,9 @@ def test_the_loss_and_its_weight_by_hand():
     # 1 and 0 standard deviations in the first sample, 0 and 1 in the second: half of 1, twice.
     np.testing.assert_allclose(imitation_loss(mean, shown, log_std), 0.5, rtol=1e-6)
     assert np.all(jax.grad(imitation_loss, 2)(mean, shown, log_std) == 0), "noise must not grow to explain"
-    weights = [float(teaching_weight(200, steps)) for steps in (0, 50, 200, 900)]
-    np.testing.assert_allclose(weights, [1.0, 0.75, 0.0, 0.0])
+    for floor, later in ((0.0, 0.0), (0.1, 0.1)):
+        weights = [float(teaching_weight(200, floor, steps)) for steps in (0, 50, 200, 900)]
+        np.testing.assert_allclose(weights, [1.0, 0.75, later, later])
 
 
 def test_what_is_shown_belongs_to_the_state_of_the_learner():
@@ -172,6 +173,9 @@ def test_teachers_that_cannot_teach_are_refused():
             PPO(env, replace(QUICK, teachers=(name,)), 4, 1)
     with pytest.raises(UsageError, match="teaching_coef must be 0 or more"):
         PPOConfig(teaching_coef=-1.0)
+    for floor in (-0.1, 1.1, np.nan):
+        with pytest.raises(UsageError, match="teaching_floor must be from 0 to 1"):
+            PPOConfig(teaching_floor=floor)
     with pytest.raises(UsageError, match="teaching_kl must be 0 or more"):
         PPOConfig(teaching_kl=-1.0)
     with pytest.raises(UsageError, match="teaching_steps"):

@@ -1,8 +1,8 @@
 """Kickstarting (Schmitt et al., 2018): a scripted team shows the learners what it would do in their place.
 
 The learners act by themselves, from the first step on. In every state that they come to, the teacher, who may see all
-of it, says what it would have done, and their loss has a term for the difference, whose weight falls to zero. From
-then on reward alone decides, so that learners can become better than the teacher.
+of it, says what it would have done, and their loss has a term for the difference, whose weight falls to zero, or
+nearly. From then on reward decides, so that learners can become better than the teacher.
 """
 
 from collections.abc import Iterable
@@ -52,9 +52,12 @@ class Teacher:
         return actions, moved
 
 
-def teaching_weight(teaching_steps, steps_so_far) -> jax.Array:
-    """Of imitation in the loss, where reward has the rest: 1 at first, evenly less, 0 from `teaching_steps` on."""
-    return jnp.clip(1.0 - steps_so_far / teaching_steps, 0.0, 1.0)
+def teaching_weight(teaching_steps, floor, steps_so_far) -> jax.Array:
+    """Of imitation in the loss, where reward has the rest: 1 at first, evenly less, no less than `floor`.
+
+    Without a floor it is 0 from `teaching_steps` on.
+    """
+    return jnp.clip(1.0 - steps_so_far / teaching_steps, floor, 1.0)
 
 
 def imitation_loss(mean: jax.Array, shown: jax.Array, log_std: jax.Array) -> jax.Array:

@@ -133,8 +133,8 @@ class OfferSkin(Offer):
     def __init__(self, env, speed: float = 1.5):
         super().__init__(env, speed)
         stored = json.loads(OFFERS.read_text())["bed_bath"]
-        self.ways = len(stored)
-        self._postures = jnp.array([way["postures"] for way in stored])
+        self.ways, most = len(stored), max(len(way["postures"]) for way in stored)
+        self._postures = jnp.array([np.resize(way["postures"], (most, len(self.rest))) for way in stored])
         self._sides = jnp.array([[int(i) for i in way["sides"]] for way in stored])
 
     def posture(self, carry, state, way):

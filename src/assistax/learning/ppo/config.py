@@ -52,6 +52,7 @@ class PPOConfig:
     teachers: tuple[str, ...] = ()  # "human=offer": scripted policies that learners imitate at first, see teacher.py
     teaching_coef: float = 1.0  # of the imitation loss, which takes the place of their policies' at first
     teaching_steps: int = 2_000_000  # environment steps in which reward takes over, evenly
+    teaching_floor: float = 0.0  # of teaching's weight, which falls from 1: to the end, against forgetting; 0: none
     teaching_kl: float = 0.0  # beside desired_kl at first, evenly less as reward takes over; 0: no limit while taught
     normalize_obs: bool = True  # by running mean and standard deviation
     stagger: bool = True  # start the environments at different times of their episodes
@@ -86,6 +87,8 @@ class PPOConfig:
         if self.teaching_coef < 0:
             raise UsageError(f"ppo.teaching_coef must be 0 or more, not {self.teaching_coef}.")
         check_count("ppo.teaching_steps", self.teaching_steps)
+        if not 0 <= self.teaching_floor <= 1:
+            raise UsageError(f"ppo.teaching_floor must be from 0 to 1, not {self.teaching_floor}.")
         if self.teaching_kl < 0:
             raise UsageError(f"ppo.teaching_kl must be 0 or more, not {self.teaching_kl}.")
         if self.partner_code < 0:

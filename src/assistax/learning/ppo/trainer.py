@@ -224,7 +224,7 @@ class PPO:
 
     def _teaching(self, c, iteration):
         """The weight of the teacher's term in an iteration."""
-        return teaching_weight(c.teaching_steps, iteration * self.steps_per_iteration)
+        return teaching_weight(c.teaching_steps, c.teaching_floor, iteration * self.steps_per_iteration)
 
     def _shown(self, c, state, taught, env_state, obs, reset, key):
         """What the teachers would do, by the learner whom they teach [num_envs, n], and what their scripts remember."""
@@ -339,7 +339,7 @@ class PPO:
         desired_kl = dict.fromkeys(kl, c.desired_kl)
         if self.teacher.players:  # they may move a policy as far as they have to
             led = ("shared",) if c.share_parameters else self.teacher.players
-            limited = (teaching <= 0.0) | ((c.teaching_kl > 0.0) & (c.desired_kl > 0.0))
+            limited = (teaching <= c.teaching_floor) | ((c.teaching_kl > 0.0) & (c.desired_kl > 0.0))
             desired_kl |= dict.fromkeys(led, jnp.where(limited, c.desired_kl + teaching * c.teaching_kl, 0.0))
         rate_scale = {name: adapted_rate(state.rate_scale[name], kl[name], desired_kl[name]) for name in kl}
         for agent, networks in self.networks.of(params).items():
