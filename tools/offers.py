@@ -1,6 +1,6 @@
 """Postures in which a person offers the robot what it is to work on, by inverse kinematics over both bodies.
 
-python tools/offers.py   # writes src/assistax/policies/offers.json, some fifteen minutes
+python tools/offers.py   # writes src/assistax/policies/offers.json, an hour
 
 A posture counts if the person can hold it, if nothing is in the way there or on the way there from rest while the robot
 waits at its start, and if the tool then touches the skin with nothing else in the way. It says, too, what share of the
@@ -37,10 +37,13 @@ STRENGTH = 0.9  # of the person's torque, to hold a posture
 AROUND_PAD = 0.045  # m, from the pad's centre, what it washes
 LEAN = {"scratch": 1.0, "bed_bath": 0.0}  # how far the tool leans away from the robot, as the scripted robot holds it
 TIP = {"scratch": 0.008, "bed_bath": 0.004}  # m, from tool point to skin when touching
-MORE = 4  # postures beside rest
-SIDES = 24  # around the arm, on which it may be dirty
+MORE = {"scratch": 4, "bed_bath": 8}  # postures of the usual way, beside rest
+OTHERS = 4  # ... and of any other
+SIDES = 48  # around the arm, on which it may be dirty
+NEAR = np.radians([0.0, -2.5, 2.5])  # a side is washed well if those beside it are
+TOUCHED, BEST = 8, 3  # postures, by side: which are played by what is touched, and again by what was washed
 PLAYED = 14  # postures, at most, in which the robot scratches
-PLAY_STEPS = 800
+PLAY_STEPS = {"scratch": 800, "bed_bath": 1000}
 ENOUGH = 4.0  # s of scratching; more is not better
 WAYS = {"scratch": 4, "bed_bath": 3}  # of offering; in one more of bed bath the pair succeeds in 53 %
 APART = 0.35  # rad, in some joint: postures of different ways
@@ -181,7 +184,7 @@ class Holds(Offer):
         return carry["held"], carry
 
 
-def played(env, postures, tasks):
+def played(env, postures, tasks, play_steps):
     """The task's states, stacked as `tasks` [n] are, after the scripted robot has worked beside a person who holds each
     of the postures: a list."""
     robot, person = scripted_policy("expert", env, "robot"), Holds(env)
@@ -202,7 +205,7 @@ def played(env, postures, tasks):
         def steps(_, now):
             return jax.vmap(step)(*now)
 
-        end, _ = jax.lax.fori_loop(0, PLAY_STEPS, steps, (dataclasses.replace(start, task=tasks), carries))
+        end, _ = jax.lax.fori_loop(0, play_steps, steps, (dataclasses.replace(start, task=tasks), carries))
         return end.task
 
     return [play(jnp.asarray(posture, jnp.float32)) for posture in postures]
@@ -211,7 +214,7 @@ def played(env, postures, tasks):
 def scratched(reach: Reach, postures) -> np.ndarray:
     """For how much of ENOUGH the robot scratches each cell beside a person in each posture [postures, cells]."""
     segment, points = jnp.asarray(reach.segment), jnp.asarray(reach.points, jnp.float32)
-    ends = played(reach.env, postures, ScratchState(segment, points, jnp.zeros(len(points))))
+    ends = played(reach.env, postures, ScratchState(segment, points, jnp.zeros(len(points))), PLAY_STEPS["scratch"])
     return np.array([np.minimum(end.scratch_seconds / ENOUGH, 1.0) for end in ends])
 
 
@@ -221,10 +224,20 @@ def dirt(bath, sides) -> np.ndarray:
 
 
 def washed(reach: Reach, postures, sides) -> np.ndarray:
-    """Which share of the dirt the robot washes on each side beside a person in each posture [postures, sides]."""
+    """How well the robot washes each side beside a person in each posture [postures, sides], from 0 to 1.
+
+    That is the share of the dirt that it washes, and whether this is enough, one as good as the other.
+    """
     dirty = jnp.asarray(dirt(reach.env.task, sides))
     start = BedBathState(dirty, ~dirty, jnp.zeros(dirty.shape), jnp.zeros(len(sides), jnp.int32))
-    return np.array([(end.visited & dirty).sum(1) / dirty.sum(1) for end in played(reach.env, postures, start)])
+    ends = played(reach.env, postures, start, PLAY_STEPS["bed_bath"])
+    share = np.array([(end.visited & dirty).sum(1) / dirty.sum(1) for end in ends])
+    return (share + (share >= reach.env.task.config.success_fraction)) / 2.0
+
+
+def most(worth, count):
+    """Rest, which is the first, and the `count` postures that are worth most [postures, places], of each place."""
+    return sorted({0, *np.argsort(-worth, axis=0)[:count].ravel()})
 
 
 def choose(worth, count):
@@ -250,12 +263,12 @@ def way(task: str, postures, worth, bonus) -> dict:
 
 
 def others(count, first, postures, touched):
-    """Rest and MORE postures, `count` times, by what is touched in them, none near one that is in use before."""
+    """Rest and OTHERS, `count` times, by what is touched in them, none near one that is in use before."""
     used = list(first[1:])
     for _ in range(count):
         apart = np.abs(postures[:, None] - np.array(used)).max(-1).min(1)
         fresh = np.where((apart > APART) | (np.arange(len(postures)) == 0), 1.0, 0.0)
-        chosen = choose(touched * fresh[:, None], MORE)
+        chosen = choose(touched * fresh[:, None], OTHERS)
         yield postures[chosen], touched[chosen], REST_TOUCHED
         used += list(postures[chosen[1:]])
 
@@ -280,10 +293,11 @@ def offers(task: str) -> list[dict]:
         near = (apart < AROUND_PAD) & (reach.env.task.segment[:, None] == reach.segment)
         dirty = dirt(reach.env.task, sides)
         reached = ((touched.astype(int) @ near.T >= 2)[:, None] & dirty).sum(2) / dirty.sum(1)
-        postures = possible[[0, *np.flatnonzero(reached.max(1) > reach.env.task.config.success_fraction)]]
-        worth = washed(reach, postures, sides)
-        worth, promising = (np.mean([np.roll(x, d, 1) for d in (-1, 0, 1)], 0) for x in (worth, reached))
-    chosen = choose(worth, MORE)
+        promising = np.mean([np.roll(reached, d, 1) for d in (-2, -1, 0, 1, 2)], 0)
+        postures = possible[most(promising, TOUCHED)]
+        postures = postures[most(washed(reach, postures, sides), BEST)]
+        worth = np.mean([washed(reach, postures, sides + d) for d in NEAR], 0)
+    chosen = choose(worth, MORE[task])
     for some in (chosen[:n] for n in range(1, len(chosen) + 1)):
         print(f"  {np.round(postures[some[-1]], 2)}: {worth[some].max(0).mean():.1%}")
     usual = postures[chosen], worth[chosen], REST_PLAYED[task]
