@@ -28,8 +28,9 @@ for its own implementation on an A100 with 1024 environments. An environment ste
 
 ## Processes and cores
 
-Steps/s of IPPO without evaluations, of all processes together, medians (`benchmarks/executors.py`,
-`results/bench/executors`):
+Steps/s of IPPO without evaluations, while it imitates scripted teachers, of all processes together, medians
+(`benchmarks/executors.py`, `results/bench/executors`). Above, where the commit is of 24 November, the preset had no
+teachers; while they are followed, in the first million steps, a training is about half as fast:
 
 {cores}
 
@@ -59,20 +60,22 @@ Python's work and takes one core.
 ## What version 1 costs
 
 Of version 0's rates on one core, with 256 environments, the fastest of {rounds} short rounds in which versions take
-turns (`benchmarks/versions.py`, `results/bench/versions`). Most of what version 1 costs are the brakes that keep joints
-to their speeds. In scratch a physics step had 14.6 µs in version 0 and 16.7 in version 1 (measured once): sensors of
-harm take 0.4 of these, integrating implicitly, which brakes need, 1.0, and their 20 actuators 0.8.
+turns (`benchmarks/versions.py`, `results/bench/versions`). In all tasks but bed bath most of what version 1 costs are
+the brakes that keep joints to their speeds; in bed bath they are 6 of 20 points. In scratch a physics step had 14.6 µs
+in version 0 and 16.7 in version 1 (measured once): sensors of harm take 0.4 of these, integrating implicitly, which
+brakes need, 1.0, and their 20 actuators 0.8.
 
 {versions}
 
 ## What a physics step is made of
 
 Shares of MuJoCo's stages in a physics step with random actions, by `assistax bench TASK --profile`, and how many
-contacts and constraints there are on average. Finding collisions takes most, though hardly anything touches; of the
-rest the solver, integration (implicit, for the tools' and joints' damping), kinematics and velocities take as much
-each. So no single stage is worth rewriting. What finding collisions takes is the search for pairs, not the pairs:
-bounding boxes, and furniture that MuJoCo compares with arm and robot at every step. Naming arm and mattress as pairs
-took 3 to 5 % off a physics step beside the bed (measured once); in the wheelchair the same gains nothing.
+contacts and constraints there are on average. Finding collisions takes most in scratch, bed bath and arm assist, and as
+much as the solver in feeding and tooth brushing, though hardly anything touches. Of the rest the solver, integration
+(implicit, for the tools' and joints' damping), kinematics and velocities take 9 to 18 % each. So no single stage is
+worth rewriting. What finding collisions takes is the search for pairs, not the pairs: bounding boxes, and furniture
+that MuJoCo compares with arm and robot at every step. Naming arm and mattress as pairs took 3 to 5 % off a physics step
+beside the bed (measured once); in the wheelchair the same gains nothing.
 
 {stages}
 """
