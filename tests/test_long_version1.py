@@ -5,6 +5,7 @@ Who helps and who does not; and a million random and a hundred thousand hostile 
 
 import dataclasses
 from functools import cache, partial
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -15,16 +16,21 @@ import pytest
 import assistax
 from assistax import scenes
 from assistax.evaluation.playing import evaluate
-from assistax.evaluation.statistics import proportion_ci
+from assistax.evaluation.statistics import proportion_ci, student_t
 from assistax.human import harm
 from assistax.physics import make_engine
 from assistax.policies import scripted_team
 from assistax.scenes import geometry
+from assistax.training import journal
+from assistax.training.configuration import configure
+from assistax.training.loop import train
+from assistax.training.run import Run
 
 pytestmark = pytest.mark.slow
 TASKS = ("scratch", "bed_bath", "arm_assist", "feeding", "tooth_brushing")
 NEEDS_TWO = ("scratch", "bed_bath")
 EPISODES = 64
+RESULTS = Path(__file__).parents[1] / "results/version2"
 
 
 @cache
@@ -53,6 +59,21 @@ def test_beside_a_person_who_keeps_still_the_robot_helps_clearly_less_often(name
 @pytest.mark.parametrize("name", TASKS)
 def test_nobody_and_noise_help_nobody(name, team):
     assert report(name, team)["success_rate"] <= 0.02
+
+
+def test_training_by_warp_comes_to_what_training_by_the_c_engine_does(tmp_path):
+    """Feeding after the default's first twelve iterations, beside the five seeds of the results there.
+
+    The mean return has to lie where a sixth seed would, by Student's t.
+    """
+    seeds = [journal.read(folder, "evaluations")[0] for folder in RESULTS.glob("feeding-ippo-default-2M-?")]
+    returns, steps = [np.mean(one["episodes"]["return"]) for one in seeds], seeds[0]["steps"]
+    apart = student_t(len(seeds) - 1) * np.std(returns, ddof=1) * np.sqrt(1 + 1 / len(seeds))
+    few = {"evaluations": 1, "evaluation_episodes": EPISODES}
+    summary = train(Run.create(configure("feeding", few, engine="warp", steps=steps), tmp_path / "run"))
+    print(f"Warp {summary['mean_return']:.0f}, C {np.mean(returns):.0f} +- {apart:.0f}")
+    assert len(seeds) == 5 and summary["safe_success_rate"] >= 0.9
+    assert abs(summary["mean_return"] - np.mean(returns)) < apart
 
 
 def hostile(env):
