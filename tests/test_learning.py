@@ -497,7 +497,7 @@ def test_tuned_settings_stand_in_for_those_of_the_configuration():
     others = {"learning_rate": 3e-2, "clip_eps": 0.05, "entropy_coef": 0.1, "value_coef": 2.0, "gamma": 0.5}
     others |= {"gae_lambda": 0.3, "max_grad_norm": 0.1, "initial_log_std": -1.0, "noise_correlation": 0.9}
     others |= {"desired_kl": 1e-3}
-    assert set(others) == tunable(PPOConfig()) - {"teaching_coef", "teaching_kl"}  # nobody teaches here
+    assert set(others) == tunable(PPOConfig()) - {"teaching_coef", "teaching_floor", "teaching_kl"}  # nobody teaches
     quick = {"num_steps": 10, "num_minibatches": 2, "update_epochs": 2, "hidden": (8,)}
 
     def params(config):
