@@ -61,9 +61,9 @@ def test_the_loss_and_its_weight_by_hand():
     # 1 and 0 standard deviations in the first sample, 0 and 1 in the second: half of 1, twice.
     np.testing.assert_allclose(imitation_loss(mean, shown, log_std), 0.5, rtol=1e-6)
     assert np.all(jax.grad(imitation_loss, 2)(mean, shown, log_std) == 0), "noise must not grow to explain"
-    for floor, later in ((0.0, 0.0), (0.1, 0.1)):
+    for floor in (0.0, 0.1):
         weights = [float(teaching_weight(200, floor, steps)) for steps in (0, 50, 200, 900)]
-        np.testing.assert_allclose(weights, [1.0, 0.75, later, later])
+        np.testing.assert_allclose(weights, [1.0, 0.75, floor, floor])
 
 
 def test_what_is_shown_belongs_to_the_state_of_the_learner():
@@ -89,12 +89,13 @@ def test_imitation_comes_first_and_reward_has_the_last_word():
     assert abs(answer(over, state, 1.0) + 0.25) < 0.06, "what pays, once teaching is over"
 
 
-def test_teaching_stops_for_good():
-    ppo = taught(4, 3, teaching_steps=40)  # one iteration
+@pytest.mark.parametrize("floor", [0.0, 0.01])
+def test_teaching_stops_for_good_unless_it_has_a_floor(floor):
+    ppo = taught(4, 3, teaching_steps=40, teaching_floor=floor)  # one iteration
     state, first = jax.jit(ppo.collect)(ppo.init(jax.random.key(0)))
     state, _ = jax.jit(ppo.improve)(state, first)
     _, later = jax.jit(ppo.collect)(state)
-    assert np.any(first["shown"]["human"] != 0) and not np.any(later["shown"]["human"])
+    assert np.any(first["shown"]["human"]) and np.any(later["shown"]["human"]) == (floor > 0)
 
 
 @pytest.mark.parametrize(("teaching_kl", "slowed"), [(0.0, False), (1e-3, True), (1e3, False)])
