@@ -28,7 +28,7 @@ ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
 STEPS = {"default": 10_000_000, "paper": 40_000_000}  # of PPO by preset; ours take half an hour
 # ... but of the versions from 1 on, where teachers help; the second with preferences.
 TAUGHT = dict.fromkeys(TASKS, 2_000_000) | {"scratch": 4_000_000, "bed_bath": 6_000_000}
-VARIED = dict.fromkeys(TASKS, 4_000_000) | {"bed_bath": 6_000_000}
+VARIED = dict.fromkeys(TASKS, 4_000_000) | {"scratch": 8_000_000, "bed_bath": 6_000_000}
 UNHELPED = TAUGHT | {"arm_assist": 4_000_000}  # a robot alone does not lift the arm in 2 M
 NEED_TWO = ("scratch", "bed_bath")
 ALONE = "-untaught"  # what are the teachers worth?
