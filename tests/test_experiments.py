@@ -131,7 +131,8 @@ def test_the_list_begins_with_five_seeds_of_every_task():
         "-still-": 15 + 4,  # of version 1 what was measured before there was a version 2
         "-keeps_still-": 2 + 1,
         "-preferences-10M-": 3 + 20,
-        "-preferences-4M-": 12 + 3,
+        "-preferences-4M-": 9 + 3,
+        "version2/scratch-ippo-default-preferences-8M-": 3,
         "version2/feeding-ippo-default-tremor-": 1,
         "-untaught-4M-": 9 + 3,
     }.items():
