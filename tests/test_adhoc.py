@@ -16,7 +16,7 @@ from assistax.errors import UsageError
 from assistax.evaluation.playing import Evaluator
 from assistax.human import Person
 from assistax.learning.ppo import PPO, PPOConfig
-from assistax.policies import Player, scripted_policy
+from assistax.policies import Player, Still, scripted_policy
 from assistax.teamwork.adaptation import Series, about, probe, slope, summarize_series
 from assistax.teamwork.adhoc import Meeting, draws
 from assistax.teamwork.report import meeting_env, picture, report
@@ -256,6 +256,24 @@ def test_members_who_observe_something_else_are_one_line(population):
     env = assistax.make("scratch-v2", engine="mujoco", human={"people": population.people, "visibility": "none"})
     with pytest.raises(UsageError, match=r"humans of the population, architecture ippo-.*, observe"):
         Meeting(env, population, 1)
+
+
+def test_people_of_one_version_are_not_met_in_another(population):
+    env = assistax.make("scratch-v1", engine="mujoco", human={"people": population.people})
+    with pytest.raises(UsageError, match=r"is of scratch-v2 and cannot be met in scratch-v1"):
+        Meeting(env, population, 1)
+
+
+@pytest.mark.parametrize(
+    ("robots", "where", "words"),
+    [
+        (Player(Still(7)), None, "robots of mine must be a list"),
+        ([Player(Still(7))], "alone", "must be a dict by part"),
+    ],
+)
+def test_what_is_not_given_by_name_and_seed_is_one_line(population, robots, where, words):
+    with pytest.raises(UsageError, match=words):
+        report({"mine": robots}, population if where else {"test": population}, episodes=1)
 
 
 def test_nobody_of_the_test_is_there_in_training(robots):

@@ -1,16 +1,52 @@
 """Evaluations: the same numbers however many episodes are played at once, in memory that does not grow with them."""
 
 import tracemalloc
+from dataclasses import dataclass
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from assistax.errors import UsageError
 from assistax.evaluation import playing
 from assistax.evaluation.distribution import Distribution
 from assistax.evaluation.playing import play, summarize, typical
 from assistax.evaluation.statistics import bootstrap_ci
-from assistax.policies import scripted_team
+from assistax.policies import Player, Still, scripted_team
+
+
+@dataclass(frozen=True)
+class Wrong:
+    """Acts for a body of another size, or forgets to return what it remembers."""
+
+    numbers: int
+    remembers: bool = True
+
+    def initial_carry(self):
+        return jnp.zeros(2)
+
+    def act(self, params, carry, obs, reset, key):
+        action = jnp.tanh(params[: self.numbers] @ obs)
+        return (action, carry[:1]) if self.remembers else action
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda team: {"robot": team["robot"]}, "a player for robot and human, not robot"),
+        (lambda team: list(team.values()), "a player for robot and human, not list"),
+        (lambda team: team | {"human": Still(3)}, "plays the human must be a Player"),
+        (lambda team: team | {"robot": Player(Still(3))}, "robot must act with 7 numbers, not with the shape"),
+        (lambda team: team | {"robot": Player.of(Wrong(7), jnp.zeros((7, 41)))}, "robot cannot act on the 34 numbers"),
+        (lambda team: team | {"robot": Player.of(Wrong(7), jnp.zeros((7, 34)))}, "carry of the same shapes"),
+        (lambda team: team | {"robot": Player.of(Wrong(7, False), jnp.zeros((7, 34)))}, "robot cannot act on"),
+    ],
+)
+def test_a_team_that_cannot_play_is_one_line(scratch, change, words):
+    with pytest.raises(UsageError, match=words) as error:
+        play(scratch, change(scripted_team("still", scratch)), 1)
+    assert "\n" not in str(error.value)
 
 
 def test_episodes_played_in_turns_are_those_played_at_once(scratch, monkeypatch):

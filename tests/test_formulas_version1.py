@@ -30,10 +30,10 @@ UP = np.array([0.0, 0.0, 1.0])
 PARTS = {"upper_arm": "right_upper_arm", "forearm": "right_forearm", "head": "head"}
 LIMITS = {  # N: up to where it is comfortable, for clamping and for impact; the neck has the throat's
     "face": (5, 65, 90), "skull": (10, 130, 175), "neck": (10, 35, 35), "trunk": (10, 140, 210),
-    "upper_arm": (10, 150, 190), "forearm": (10, 160, 220), "hand": (10, 135, 180),
+    "thigh": (10, 220, 440), "upper_arm": (10, 150, 190), "forearm": (10, 160, 220), "hand": (10, 135, 180),
 }  # fmt: skip
 GEOMS = {"chest": "trunk", "belly": "trunk", "pelvis": "trunk"}
-GEOMS |= {f"{side}_{part}": part for side in ("right", "left") for part in ("upper_arm", "forearm", "hand")}
+GEOMS |= {f"{side}_{part}": part for side in ("right", "left") for part in ("thigh", "upper_arm", "forearm", "hand")}
 BUDGET = {"scratch": 3.165, "bed_bath": 1.624, "arm_assist": 4.512, "feeding": 1.88, "tooth_brushing": 1.256}
 
 

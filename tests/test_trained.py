@@ -6,13 +6,13 @@ from assistax.errors import UsageError
 from assistax.evaluation.playing import play
 from assistax.training.team_file import load_team, trained_file
 
-# What each reaches in 64 episodes: 98, 97 and 86 % in bed bath of version 0, 1 and 2, 97 to 100 % elsewhere.
+# What each reaches in 64 episodes: 98, 97 and 98 % in bed bath of version 0, 1 and 2, 97 to 100 % elsewhere.
 LEAST = {"scratch-v0": 1.0, "bed_bath-v0": 0.75, "arm_assist-v0": 1.0, "feeding-v0": 1.0, "tooth_brushing-v0": 1.0}
 LEAST |= {
     "scratch-v1": 0.75,
     "scratch-v2": 0.75,
     "bed_bath-v1": 0.75,
-    "bed_bath-v2": 0.6,
+    "bed_bath-v2": 0.75,
     "arm_assist-v1": 1.0,
     "feeding-v1": 1.0,
     "feeding-v2": 1.0,
@@ -24,6 +24,12 @@ def test_a_task_without_one_says_so(monkeypatch, tmp_path):
     monkeypatch.setattr("assistax.training.team_file.TRAINED", tmp_path)
     with pytest.raises(UsageError, match=r"No trained team comes with bed_bath-v1 yet; there is one for none."):
         trained_file("bed_bath-v1")
+
+
+def test_a_team_plays_where_its_teachers_cannot():
+    """The expert who taught needs torques; who learned from it only needs actions."""
+    env, team = load_team(trained_file("scratch"), {"env.control": "position"})
+    assert env.config.control == "position" and set(team) == set(env.agents)
 
 
 @pytest.mark.parametrize("task", LEAST)

@@ -97,7 +97,7 @@ def page(env: Env, words: Words) -> str:
     fields["where"] = "\n".join(f"- {sign}" for sign in fields["where"].split("; "))
     rows = [[f"`{name}`", f"`{formula}`", f"{largest[name]:.0f}"] for name, formula in formulas.items()]
     printed = f"what the paper prints as the most that an episode of {STEPS} steps can return"
-    changed = f"the largest values of all terms together, as one of them is not the paper's ({paper.bound:g} there)"
+    changed = f"higher than the paper's {paper.bound:g}, as one term is not the paper's"
     return _filled(
         "task",
         title=spec.title,

@@ -83,7 +83,7 @@ TASKS = {
         "The itch lies on the outer side of the arm, away from elbow and wrist, where the robot reaches it by "
         "itself. The scratch term pays, and scratching counts, within 10 cm of the itch, wherever the tool touches "
         "the person: also on the other side of the arm.",
-        ("upper_arm", "forearm", "hand", "trunk"),
+        ("upper_arm", "forearm", "hand", "trunk", "thigh"),
         "`scratch-v1` counts within 4 cm of the itch: nearly all itches are so near to what the stick touches while "
         "the arm rests. Its robot sees no clock, and its forearm itches all around.",
     ),
@@ -172,7 +172,7 @@ TASKS = {
         "The task itself never ends an episode.",
         JOINTS_ONLY.format(what="both targets are fixed to the person's body"),
         "Speed does not matter: a forearm that swings through the waist or is thrown there counts and is paid in full.",
-        ("upper_arm", "forearm", "hand", "trunk"),
+        ("upper_arm", "forearm", "hand", "trunk", "thigh"),
     ),
     "feeding": Words(
         "The person sits in a wheelchair. The robot holds a spoon with food and brings it to the mouth, level on the "

@@ -12,7 +12,7 @@ import numpy as np
 from assistax.env import Env, EnvState, Obs, make
 from assistax.errors import UsageError, choose
 from assistax.learning.partners import Partners
-from assistax.policies import Player
+from assistax.policies import Player, check_acts
 from assistax.pytree import pytree
 from assistax.tasks import TaskSpec, task_spec
 from assistax.training.configuration import people_of
@@ -31,17 +31,7 @@ def find_player(who: Who, env: Env, agent: str) -> Player:
         return find_partner(who if isinstance(who, Population) else str(who), env, agent).player
     who.check(env)
     obs, state = jax.eval_shape(env.reset, jax.random.key(0))
-    first, key = jax.ShapeDtypeStruct((), bool), jax.random.key(0)
-    try:
-        carry = who.initial_carry()
-        action, _ = jax.eval_shape(lambda *seen: who.act(who.member(0), carry, *seen, key), obs[agent], state, first)
-    except (TypeError, ValueError, KeyError, IndexError, AttributeError) as error:
-        what = str(error).partition("\n")[0]
-        size = env.observation_sizes[agent]
-        raise UsageError(f"The {agent}'s partner cannot act on the {size} numbers that it observes: {what}") from error
-    if action.shape != (env.action_sizes[agent],):
-        size = env.action_sizes[agent]
-        raise UsageError(f"The {agent}'s partner must act with {size} numbers, not with the shape {action.shape}.")
+    check_acts(who, agent, obs[agent], state, env.action_sizes[agent])
     return who
 
 

@@ -92,10 +92,13 @@ def _teams_of(target: str, policy: str | None, engine: str | None, settings: dic
         return env, [team], {"task": env.name, "team": target}
     if not path.is_dir():
         raise UsageError(f"{target!r} is neither a run folder, nor a team file, nor a task ({', '.join(TASKS)}).")
-    frozen = dict(map(split_pair, (config := read_config(path)).partners))
+    config = read_config(path)
+    frozen = dict(map(split_pair, config.partners))
     others = {agent for agent, _ in map(split_pair, partners)}  # who plays them is found by the caller
     copies = tuple(text for text in config.partner_copies if split_pair(text)[0] not in others)
     kept = tuple(f"{agent}={'still' if agent in others else name}" for agent, name in frozen.items())
+    if config.group == "ppo":  # nobody learns here, and who taught need not be able to play
+        settings = {"ppo.teachers": ()} | settings
     run = Run.open(path, settings, engine=engine, partners=kept, partner_copies=copies)
     return run.env, run.teams(), {"task": run.config.task, "run": target}
 

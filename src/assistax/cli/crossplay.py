@@ -30,7 +30,7 @@ def crossplay(
     For example:
       assistax crossplay runs/scratch-ippo-0 runs/scratch-mappo-0
       assistax crossplay scratch runs/scratch-ippo-0 still expert --out crossplay.png
-      assistax crossplay runs/robot --partner human=populations/scratch:random/test
+      assistax crossplay runs/robot --partner human=populations/scratch-v1:random/test
 
     Args:
       targets: teams of one task: run folders (each seed is a team), team files, a task (the trained team that comes

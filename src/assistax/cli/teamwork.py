@@ -26,8 +26,8 @@ def evaluate(
     """Measure robots with the partners of training and with held-out ones: scores, success, harm, and the gap.
 
     For example:
-      assistax train scratch --partner human=populations/scratch:random/train --num-seeds 3 --out runs/br
-      assistax teamwork evaluate best-response=runs/br --population populations/scratch --split random
+      assistax train scratch-v1 --partner human=populations/scratch-v1:random/train --num-seeds 3 --out runs/br
+      assistax teamwork evaluate best-response=runs/br --population populations/scratch-v1 --split random
 
     Args:
       methods: runs whose robots are measured, with the method's name; several runs and all their seeds are one method.
@@ -89,8 +89,8 @@ def best_responses(
     Can be stopped and continued at any moment; what is finished never runs again.
 
     For example:
-      assistax teamwork best-responses populations/scratch --split taught --out runs/best --processes 2
-      assistax teamwork evaluate runs/br --population populations/scratch --split taught --best-responses runs/best
+      assistax teamwork best-responses populations/scratch-v1 --split taught --out runs/best --processes 2
+      assistax teamwork evaluate runs/br --population populations/scratch-v1 --split taught --best-responses runs/best
 
     Args:
       population: the partners.
@@ -190,7 +190,7 @@ def validity(
     own robot, or an oracle, has a tenth more than the best single robot with all of them.
 
     For example:
-      assistax teamwork validity populations/scratch --sample 16 --robots best-response=runs/br
+      assistax teamwork validity populations/scratch-v1 --sample 16 --robots best-response=runs/br
 
     Args:
       population: whose robots and people meet.

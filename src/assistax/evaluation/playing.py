@@ -15,7 +15,7 @@ from assistax.evaluation.filmed import Filmed
 from assistax.evaluation.statistics import bootstrap_ci, proportion_ci
 from assistax.human import harm
 from assistax.physics import check_faults
-from assistax.policies import Team
+from assistax.policies import Team, check_team
 from assistax.settings import check_count, check_seed
 
 EVALUATION_SEED = 20_260_000  # evaluation draws are the same for all runs, and not those of training
@@ -53,10 +53,12 @@ class Evaluator:
           "metrics" (see Env.metrics, at the episode's last step), "person" the row of the list of people that the
           reset drew; "force", a Distribution in N over all steps of all episodes; "filmed", what a film needs of the
           episode that is `typical` among the first MOST_AT_ONCE, a Filmed.
+
+        Raises:
+          UsageError: an agent without a Player, or one who cannot act on what it observes here.
         """
         check_seed("seed", seed)
-        for player in team.values():
-            player.check(self.env)
+        check_team(team, self.env)
         people = None if people is None else np.asarray(people, np.int32)
         if draws is None:
             keys = jax.random.split(jax.random.key(seed), self.episodes)

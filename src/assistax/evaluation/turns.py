@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax.env import Env, EnvState, Obs
-from assistax.policies import Team
+from assistax.policies import Team, check_acts
 
 
 class Turn(NamedTuple):
@@ -27,6 +27,7 @@ def begin(env: Env, team: Team, key: jax.Array, person: jax.Array | None = None)
     obs, state = env.reset(key, person=person)
     params = {}
     for i, agent in enumerate(env.agents):
+        check_acts(team[agent], agent, obs[agent], state, env.action_sizes[agent])
         drawn = team[agent].draw(jax.random.fold_in(key, i)) if team[agent].members > 1 else 0
         drawn = state.person.index if team[agent].by_person else drawn
         params[agent] = team[agent].member(drawn)

@@ -1,7 +1,8 @@
 """What the robot's force does to the person's body, by region.
 
 Limits from DGUV 2011, tabulated in Bendel (ed.), *Pflegeroboter* (open access, table 1.4): for healthy adults and
-unintended contact, so the most that may be tolerated in care and not what to aim for. Comfort from Assistive Gym,
+unintended contact, so the most that may be tolerated in care and not what to aim for. The thigh, which they leave out,
+has that of ISO/TS 15066:2016, table A.2. Comfort from Assistive Gym,
 which penalises 10 N; for the face half of that.
 """
 
@@ -29,6 +30,7 @@ REGIONS = {
     "skull": Limits(10.0, 130.0, 175.0, ()),
     "neck": Limits(10.0, 35.0, 35.0, ()),  # the throat's
     "trunk": Limits(10.0, 140.0, 210.0, ("chest", "belly", "pelvis")),  # the chest's
+    "thigh": Limits(10.0, 220.0, 440.0, ("right_thigh", "left_thigh")),
     "upper_arm": Limits(10.0, 150.0, 190.0, ("right_upper_arm", "left_upper_arm")),
     "forearm": Limits(10.0, 160.0, 220.0, ("right_forearm", "left_forearm")),
     "hand": Limits(10.0, 135.0, 180.0, ("right_hand", "left_hand")),

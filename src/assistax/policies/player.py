@@ -5,7 +5,7 @@ with every call, so that a population is the same policy with a leading axis on 
 """
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Protocol
@@ -180,6 +180,38 @@ class Mixed(Player):
 
 Team = dict[str, Player]
 """A player by agent."""
+
+
+def check_team(team: Any, env: Any) -> None:
+    """Raise UsageError unless `team` is a player for each agent of `env`, and nobody else."""
+    if not isinstance(team, Mapping) or set(team) != set(env.agents):
+        given = ", ".join(map(str, team)) if isinstance(team, Mapping) else type(team).__name__
+        raise UsageError(f"A team is a dict with a player for {' and '.join(env.agents)}, not {given or 'nobody'}.")
+    for agent, player in team.items():
+        if not isinstance(player, Player):
+            raise UsageError(f"Who plays the {agent} must be a Player, as Player.of(policy, params) makes one.")
+        player.check(env)
+
+
+def check_acts(player: Player, agent: str, obs: Any, state: Any, size: int) -> None:
+    """Raise UsageError unless the player can play the agent, who observes obs [n] and acts with `size` numbers.
+
+    Nothing is computed: `obs` and the EnvState may be shapes, as of `jax.eval_shape`, or what is being traced.
+    """
+
+    def act(player, obs, state):
+        carry = player.initial_carry()
+        return carry, player.act(player.member(0), carry, obs, state, jnp.bool_(True), jax.random.key(0))
+
+    try:
+        carry, (action, after) = jax.eval_shape(act, player, obs, state)
+    except (TypeError, ValueError, KeyError, IndexError, AttributeError) as error:
+        what = str(error).partition("\n")[0]
+        raise UsageError(f"The {agent} cannot act on the {obs.shape[0]} numbers that it observes: {what}") from None
+    if jnp.shape(action) != (size,):
+        raise UsageError(f"The {agent} must act with {size} numbers, not with the shape {jnp.shape(action)}.")
+    if jax.tree.map(jnp.shape, after) != jax.tree.map(jnp.shape, carry):
+        raise UsageError(f"The {agent}'s policy must return a carry of the same shapes as its initial_carry.")
 
 
 def stack(trees: Sequence[Any]) -> Any:

@@ -30,6 +30,8 @@ class Meeting:
 
     def __init__(self, env: Env, population: Population, episodes: int):
         check_count("episodes", episodes)
+        if env.name != population.task:
+            raise UsageError(f"The population is of {population.task} and cannot be met in {env.name}.")
         if env.config.human.people != population.people:
             raise UsageError("The environment's people (env.human.people) must be the population's.")
         population.check_observations("human", env, "the population")

@@ -59,7 +59,7 @@ def report(
         partner in training; or a run given twice.
     """
     best_responses = best_responses or {}
-    _check_once(methods)
+    _check_given(methods, populations)
     measured = [one for robots in methods.values() for one in robots if isinstance(one, Run)]
     check_robots([*measured, *best_responses.values()], populations)
     check_strangers(measured, populations)
@@ -99,9 +99,13 @@ def report(
     return found | {"runs": {name: [_about(one) for one in robots] for name, robots in methods.items()}} | stamp()
 
 
-def _check_once(methods: Mapping[str, Sequence[Run | Player]]) -> None:
+def _check_given(methods: Any, populations: Any) -> None:
     """A run given twice would count as two seeds that agree."""
+    if not isinstance(populations, Mapping):
+        raise UsageError('The populations must be a dict by part, such as {"test": population}.')
     for name, robots in methods.items():
+        if not isinstance(robots, Sequence):
+            raise UsageError(f"The robots of {name} must be a list of runs or players, a seed each.")
         places = [one.folder.resolve() for one in robots if isinstance(one, Run)]
         if twice := [place.name for place in places if places.count(place) > 1]:
             raise UsageError(f"{twice[0]} is given twice as a robot of {name}; its seeds would count twice.")

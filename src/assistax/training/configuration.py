@@ -187,7 +187,9 @@ def read_config(folder: Path) -> TrainConfig:
 
 
 def trained_env(config: TrainConfig) -> tuple[Env, Any]:
-    """The environment that something was trained in, and a trainer that knows its policies."""
+    """The environment that something was trained in, and a trainer that knows its policies and has no teachers."""
+    if config.group == "ppo":  # who taught need not be able to play here
+        config = with_settings(config, {"ppo.teachers": ()})
     env = Env(config.task, config.engine, config.env, config.task_config)
     others = [text.split("=")[0] for text in config.partners]  # who they were makes no difference to the learners
     return env, config.trainer(env, {agent: Player(Still(env.action_sizes[agent])) for agent in others})

@@ -109,8 +109,8 @@ _HELPING = {
 # then less from the start, as what is shown has to be seen through it.
 _TAUGHT = {"initial_log_std": -1.5, "teachers": ("robot=expert", "human=offer"), "teaching_steps": 1_000_000}
 UNTAUGHT = {"ppo.teachers": (), "ppo.initial_log_std": -1.0}  # the settings of those who find the way by themselves
-# With twice the noise the scripts themselves cannot press and stroke. Every side of the arm asks for another posture, so
-# that there is much to be forgotten: teaching does not end.
+# With twice the noise the scripts themselves cannot press and stroke. Every side of the arm asks for another posture,
+# so that there is much to be forgotten: teaching does not end.
 _RUBBING = _TAUGHT | {"initial_log_std": -2.0, "teaching_floor": 0.004}
 _BY_TASK: dict[str, dict[str, Any]] = {
     # Down to 0.02: a stick that noise shakes loose would stick without.

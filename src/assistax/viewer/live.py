@@ -11,7 +11,7 @@ from assistax.env import Env
 from assistax.evaluation import turns
 from assistax.evaluation.filmed import Filmed
 from assistax.physics import PUSH, check_faults
-from assistax.policies import Team
+from assistax.policies import Team, check_team
 
 
 class Played(NamedTuple):
@@ -35,8 +35,7 @@ class Live:
     """
 
     def __init__(self, env: Env, team: Team, seed: int):
-        for player in team.values():
-            player.check(env)
+        check_team(team, env)
         self.env, self.team, self.seed = env, team, seed
         self.spots = turns.spots(env)
         self._begin, self._advance = jax.jit(self._first), jax.jit(self._some)
