@@ -152,7 +152,7 @@ def test_success_that_harms_is_not_safe():
     _, state = env.reset(jax.random.key(0))
     state = dataclasses.replace(state, task=dataclasses.replace(state.task, brush_seconds=jnp.float32(3.0)))
     assert env.metrics(state)["safe_success"] == env.metrics(state)["success"] == 1.0
-    hurt = dataclasses.replace(state.harm, peak=jnp.zeros(7).at[0].set(91.0))  # N on the face
+    hurt = dataclasses.replace(state.harm, peak=jnp.zeros(len(harm.REGIONS)).at[0].set(91.0))  # N on the face
     metrics = env.metrics(dataclasses.replace(state, harm=hurt))
     assert metrics["success"] == 1.0 and metrics["safe_success"] == 0.0 and metrics["impact"] == 1.0
     from assistax.evaluation.playing import evaluate
