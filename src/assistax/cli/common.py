@@ -69,7 +69,7 @@ def _teams_of(target: str, policy: str | None, engine: str | None, settings: dic
     from assistax.env import Env
     from assistax.policies import SCRIPTED, scripted_team
     from assistax.tasks import TASKS, is_task, task_spec
-    from assistax.training.configuration import configure, read_config
+    from assistax.training.configuration import configure, read_config, to_play
     from assistax.training.partners import split_pair
     from assistax.training.run import Run
     from assistax.training.team_file import load_team, trained_file
@@ -97,9 +97,7 @@ def _teams_of(target: str, policy: str | None, engine: str | None, settings: dic
     others = {agent for agent, _ in map(split_pair, partners)}  # who plays them is found by the caller
     copies = tuple(text for text in config.partner_copies if split_pair(text)[0] not in others)
     kept = tuple(f"{agent}={'still' if agent in others else name}" for agent, name in frozen.items())
-    if config.group == "ppo":  # nobody learns here, and who taught need not be able to play
-        settings = {"ppo.teachers": ()} | settings
-    run = Run.open(path, settings, engine=engine, partners=kept, partner_copies=copies)
+    run = Run.open(path, to_play(config) | settings, engine=engine, partners=kept, partner_copies=copies)
     return run.env, run.teams(), {"task": run.config.task, "run": target}
 
 

@@ -2,8 +2,7 @@
 
 Limits from DGUV 2011, tabulated in Bendel (ed.), *Pflegeroboter* (open access, table 1.4): for healthy adults and
 unintended contact, so the most that may be tolerated in care and not what to aim for. The thigh, which they leave out,
-has that of ISO/TS 15066:2016, table A.2. Comfort from Assistive Gym,
-which penalises 10 N; for the face half of that.
+has that of ISO/TS 15066:2016, table A.2. Comfort from Assistive Gym, which penalises 10 N; for the face half of that.
 """
 
 from typing import NamedTuple

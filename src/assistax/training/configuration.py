@@ -186,10 +186,14 @@ def read_config(folder: Path) -> TrainConfig:
     return stored_config(read_json(path, CONFIG), str(path))
 
 
+def to_play(config: TrainConfig) -> dict[str, Any]:
+    """Settings of those who only play what was learned: who taught need not be able to play there."""
+    return {"ppo.teachers": ()} if config.group == "ppo" else {}
+
+
 def trained_env(config: TrainConfig) -> tuple[Env, Any]:
     """The environment that something was trained in, and a trainer that knows its policies and has no teachers."""
-    if config.group == "ppo":  # who taught need not be able to play here
-        config = with_settings(config, {"ppo.teachers": ()})
+    config = with_settings(config, to_play(config))
     env = Env(config.task, config.engine, config.env, config.task_config)
     others = [text.split("=")[0] for text in config.partners]  # who they were makes no difference to the learners
     return env, config.trainer(env, {agent: Player(Still(env.action_sizes[agent])) for agent in others})
