@@ -1,7 +1,5 @@
 """Reward and help agree: the best-paid behaviour helps, by 5 % over the best-paid one found that does not.
 
-In brushing with preferences a larger search, 20,000 points and 60 rounds, finds one that is 4 % behind.
-
 A search over instants: where the tool is and how turned, how hard it presses, how fast it moves, what was before.
 What helps is what the task's own outcome counts. Poses in which the tool would be inside the head are left out. In bed
 bath, where pay hangs on what was washed before, whole episodes are compared.
@@ -41,7 +39,7 @@ def solid(name):
 
 
 class Instant:
-    """What a task pays and counts for one control step, from numbers x [12] that a search may choose."""
+    """What a task pays and counts for one control step, from numbers x [13] that a search may choose."""
 
     def __init__(self, name):
         self.name, self.env = name, assistax.make(name, engine="mujoco")
@@ -69,10 +67,10 @@ class Instant:
             paid += sum(terms.values())
         return paid, helps, possible
 
-    def _pressing(self, s, parts, force, velocity, turned):
-        """The tool presses and moves so on these body parts, seen in world axes."""
+    def _pressing(self, s, parts, force, velocity, own, turned):
+        """The tool presses and moves so on these body parts, which move, too: its own velocity is another."""
         push = jnp.array([0.0, 0.0, 1.0]) * force
-        s |= {"tool_force": push, "robot_force": push, "tool_vel": velocity}
+        s |= {"tool_force": push, "robot_force": push, "tool_vel": own}
         for part in parts:
             s |= {f"tool_force_{part}": push, f"tool_vel_{part}": turned(part) @ velocity}
         return s
@@ -82,9 +80,13 @@ class Instant:
         pos = self.rest["mouth_pos"] + frame @ x[:3]
         angle = jnp.linalg.norm(x[3:6]) + 1e-9
         quat = jnp.concatenate([jnp.cos(angle / 2)[None], jnp.sin(angle / 2) * x[3:6] / angle])
-        depth = (HEAD - jnp.linalg.norm(pos + solid(self.name) @ geometry.matrix(quat).T - self.head, axis=1)).max()
+        around = solid(self.name) @ geometry.matrix(quat).T - self.head
+        for _ in range(8):  # a tool that presses is moved straight ahead until it touches the face
+            depth = (HEAD - jnp.linalg.norm(pos + around, axis=1)).max()
+            pos += (x[6] > 0.0) * jnp.clip(depth, -0.05, 0.05) * frame[:, 0]
+        depth = (HEAD - jnp.linalg.norm(pos + around, axis=1)).max()
         force = jnp.where(depth > -0.001, jnp.clip(x[6], 0.0, 20.0), 0.0)
-        s = self._pressing(dict(self.rest), ["head"], force, x[7:10], lambda part: frame.T)
+        s = self._pressing(dict(self.rest), ["head"], force, x[7:10], x[10:], lambda part: frame.T)
         return s | {"tool_pos": pos, "tool_quat": quat}, depth < 0.001
 
     def _feeding(self, x, before):
@@ -102,11 +104,12 @@ class Instant:
         place = jnp.where(segment == 0, self.rest["upper_arm_pos"], self.rest["forearm_pos"])
         force, nothing = jnp.clip(x[6], 0.0, 20.0), jnp.zeros(3)
         frames = {part: geometry.matrix(self.rest[f"{part}_quat"]).T for part in ("upper_arm", "forearm")}
-        s = self._pressing(dict(self.rest), frames, force, x[7:10], frames.get)
+        s = self._pressing(dict(self.rest), frames, force, x[7:10], x[10:], frames.get)
+        state = dataclasses.replace(self.state, strokes=jnp.stack([x[7:10], x[10:]]))  # for long enough
         right = jnp.array([segment == 0, segment == 1]) ^ before
         for i, part in enumerate(frames):
             s[f"tool_force_{part}"] = jnp.where(right[i], s[f"tool_force_{part}"], nothing)
-        return s | {"tool_pos": place + geometry.rotate(quat, self.state.itch) + x[:3]}, self.state, jnp.bool_(True)
+        return s | {"tool_pos": place + geometry.rotate(quat, state.itch) + x[:3]}, state, jnp.bool_(True)
 
     def _arm_assist(self, x, before):
         """`before`: the arm was thrown to where it is."""
@@ -122,14 +125,15 @@ def best(instant, person, wanted, number=6000, rounds=22, fast=0.1):
     rng, most = np.random.default_rng(0), -np.inf
 
     def draw(n):
-        speed = rng.normal(size=(n, 3)) * fast * rng.integers(0, 2, (n, 1))
+        speed = np.repeat(rng.normal(size=(n, 3)) * fast * rng.integers(0, 2, (n, 1)), 2, 0).reshape(n, 6)
         return np.concatenate(
-            [rng.uniform(-0.15, 0.15, (n, 3)), rng.normal(size=(n, 3)) * 1.6, rng.uniform(0, 6, (n, 1)), speed], 1
+            [rng.uniform(-0.15, 0.15, (n, 3)), rng.normal(size=(n, 3)) * 1.6, rng.uniform(-2, 6, (n, 1)), speed], 1
         )
 
     x, before = draw(number), rng.random(number) < 0.5
-    scale = np.array([0.03] * 3 + [0.4] * 3 + [0.8] + [0.04] * 3)
-    for step in range(rounds):
+    scale = np.array([0.03] * 3 + [0.4] * 3 + [0.8] + [0.04] * 6)
+    step = 0
+    for _ in range(rounds):
         paid, helps, possible = (np.asarray(y) for y in look(jnp.asarray(x, jnp.float32), jnp.asarray(before), person))
         score = np.where(possible & (helps == wanted), paid, -np.inf)
         order = np.argsort(-score)[: number // 20]
@@ -138,8 +142,9 @@ def best(instant, person, wanted, number=6000, rounds=22, fast=0.1):
         if not len(order):
             x, before = draw(number), rng.random(number) < 0.5
             continue
+        step += 1
         parents = rng.choice(order, number)
-        moved = scale * 0.85**step * rng.normal(size=x.shape) * (rng.random(x.shape) < 0.5)
+        moved = scale * 0.9**step * rng.normal(size=x.shape) * (rng.random(x.shape) < 0.5)
         x, before = x[parents] + moved * (np.arange(number) >= 50)[:, None], before[parents]
     return most
 
@@ -160,8 +165,8 @@ def test_help_is_paid_best(name, who):
 def test_help_is_paid_best_at_the_ends_of_the_sweep(speed, force, weights):
     """Who wants it slow and soft and cares how fast it is, and the other way round; where what pays is closest."""
     instant, person = Instant("tooth_brushing"), preference.preference(speed, force, weights)
-    helps, other = (best(instant, person, wanted, 12_000, 45, 0.04) for wanted in (True, False))
-    assert helps > 1.02 * other > 0, (helps, other)
+    helps, other = (best(instant, person, wanted, fast=0.04) for wanted in (True, False))
+    assert helps > MARGIN * other > 0, (helps, other)
 
 
 def best_hovering(task, rows, state, number=3000, rounds=20):

@@ -21,13 +21,13 @@ class Limits(NamedTuple):
     comfort: float
     clamping: float  # for longer than CLAMPING_SECONDS
     impact: float  # at any time, low-pass filtered
-    geoms: tuple[str, ...]  # of the person; of the head's parts none, see `forces`
+    geoms: tuple[str, ...]  # of the person, where a scene measures them; for the head's parts see `forces`
 
 
 REGIONS = {
     "face": Limits(5.0, 65.0, 90.0, ()),
     "skull": Limits(10.0, 130.0, 175.0, ()),
-    "neck": Limits(10.0, 35.0, 35.0, ()),  # the throat's
+    "neck": Limits(10.0, 35.0, 35.0, ("throat",)),  # and under the chin; the throat's
     "trunk": Limits(10.0, 140.0, 210.0, ("chest", "belly", "pelvis")),  # the chest's
     "thigh": Limits(10.0, 220.0, 440.0, ("right_thigh", "left_thigh")),
     "upper_arm": Limits(10.0, 150.0, 190.0, ("right_upper_arm", "left_upper_arm")),
@@ -71,9 +71,9 @@ def forces(s: dict[str, jax.Array]) -> jax.Array:
     where = {"face": face & ~under, "neck": under, "skull": ~face & ~under}
     on = {name: here * jnp.linalg.norm(head) for name, here in where.items()}
     for name, limits in REGIONS.items():
-        if limits.geoms:
-            limbs = jnp.stack([s[f"robot_force_{geom}"] for geom in limits.geoms])
-            on[name] = jnp.linalg.norm(limbs, axis=-1).max()
+        parts = [jnp.linalg.norm(s[f"robot_force_{geom}"]) for geom in limits.geoms if f"robot_force_{geom}" in s]
+        if parts:
+            on[name] = jnp.stack([on.get(name, jnp.float32(0.0)), *parts]).max()
     return jnp.stack([on[name] for name in REGIONS])
 
 

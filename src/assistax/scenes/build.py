@@ -76,6 +76,7 @@ class SceneConfig:
     # Body parts, of WORKED_ON, that the tool works on: as seen from them its speed is measured, and on them its force.
     worked_on: tuple[str, ...] = ()
     regions: bool = False  # whether the robot's force is measured on every part of the person, TOUCHED
+    throat: bool = False  # whether the robot touches it, or goes through it
     speed_limits: bool = False  # whether joints keep to the robot's speeds and, if driven, to HUMAN_SPEED
     supported: bool = False  # whether furniture holds an arm that is not driven against a push from above
     control: str = "torque"  # or "position": the robot's ctrl is a joint target in rad
@@ -130,6 +131,8 @@ def build(config: SceneConfig, visuals: bool = True) -> mujoco.MjSpec:
     _attach(spec, config.tool, spec.body("hand"), config.arm.mount, _turn("z", config.arm.mount_yaw))
     for name in config.targets:
         spec.site(name).group = 1
+    if config.throat:
+        spec.geom("throat").conaffinity = 3
     if not visuals:
         _strip(spec)
     if config.control == "torque":
@@ -336,12 +339,17 @@ def _add_sensors(spec, config):
     ):
         sense(name, kind.mjSENS_CONTACT, objtype, objname, reftype=obj.mjOBJ_XBODY, refname="human",
               intprm=NET_FORCE)  # fmt: skip
-    for geom in TOUCHED if config.regions else ():
+    for geom in _touched(config):
         sense(f"robot_force_{geom}", kind.mjSENS_CONTACT, obj.mjOBJ_XBODY, "robot", reftype=obj.mjOBJ_GEOM,
               refname=geom, intprm=NET_FORCE)  # fmt: skip
     for part in config.worked_on:
         sense(f"tool_force_{part}", kind.mjSENS_CONTACT, obj.mjOBJ_BODY, "tool", reftype=obj.mjOBJ_BODY,
               refname=WORKED_ON[part], intprm=NET_FORCE)  # fmt: skip
+
+
+def _touched(config):
+    """The parts of the person on which the robot's force is measured."""
+    return [part for part in TOUCHED if config.regions and (config.throat or part != "throat")]
 
 
 def _turn(axis, angle):

@@ -13,7 +13,7 @@ LEFT_ARM = ("left_shoulder1", "left_shoulder2", "left_elbow")
 NECK = ("neck_yaw", "neck_pitch")
 WORKED_ON = {"upper_arm": "right_upper_arm", "forearm": "right_forearm", "head": "head"}  # body parts and their bodies
 TOUCHED = (
-    "head", "chest", "belly", "pelvis", "right_thigh", "left_thigh",
+    "head", "throat", "chest", "belly", "pelvis", "right_thigh", "left_thigh",
     "right_upper_arm", "right_forearm", "right_hand", "left_upper_arm", "left_forearm", "left_hand",
 )  # fmt: skip
 HUMAN_TORQUE = 10.0  # N m at action 1

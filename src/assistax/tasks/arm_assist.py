@@ -35,6 +35,7 @@ class ArmAssistConfig:
     settled_speed: float = 1e3  # m/s, of the forearm, at most, while it counts
     carrying_speed: float = 1e3  # m/s, at most, from where it last lay still away from the waist
     success_seconds: float = 0.5  # s, in all
+    to_the_end: bool = False  # whether it must also be there at the end
 
 
 @pytree
@@ -43,6 +44,7 @@ class ArmAssistState:
 
     seconds_at_waist: jax.Array
     thrown: jax.Array  # bool: faster than the carrying speed since it last lay still away from the waist
+    there: jax.Array  # bool: the forearm is at the waist
 
 
 class ArmAssist:
@@ -56,7 +58,7 @@ class ArmAssist:
 
     def reset(self, key) -> ArmAssistState:
         """Nothing is drawn: both targets are sites on the person."""
-        return ArmAssistState(jnp.float32(0.0), jnp.bool_(False))
+        return ArmAssistState(jnp.float32(0.0), jnp.bool_(False), jnp.bool_(False))
 
     @staticmethod
     def _rotation(s: Sensors):
@@ -101,7 +103,7 @@ class ArmAssist:
         speed = self._speed(s)
         thrown = (state.thrown & (there | (speed > c.settled_speed))) | (speed > c.carrying_speed)
         settled = self._settled(s, state, thrown)
-        return ArmAssistState(state.seconds_at_waist + self.dt * settled, thrown)
+        return ArmAssistState(state.seconds_at_waist + self.dt * settled, thrown, there)
 
     def _settled(self, s: Sensors, state: ArmAssistState, thrown):
         """The forearm is at the waist, still, and was carried there."""
@@ -122,7 +124,9 @@ class ArmAssist:
         return {"seconds_at_waist": state.seconds_at_waist}
 
     def success(self, state: ArmAssistState):
-        return state.seconds_at_waist >= self.config.success_seconds
+        """Half a second at the waist; from version 2 on the arm must be there now, too."""
+        held = state.there if self.config.to_the_end else True
+        return held & (state.seconds_at_waist >= self.config.success_seconds)
 
     def terminated(self, state: ArmAssistState):
         return jnp.bool_(False)
@@ -147,33 +151,40 @@ _SCENE = SceneConfig(
 # 0.2 m behind the forearm, as one looks at it from the waist, and 0.06 m above, the hook turned to it.
 _BESIDE = (-0.6, -1.18, 0.9, -1.775, 0.86, 1.11, 1.97)
 
-SPECS = (
-    TaskSpec(
-        "arm_assist",
-        0,
-        ArmAssist,
-        _SCENE,
-        expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
-        bound=11280,
-        preference_budget=4.512,
-        tremor_weakens=True,
-    ),
-    TaskSpec(
-        "arm_assist",
-        1,
-        ArmAssist,
-        replace(limited(_SCENE, "forearm"), ready=_BESIDE),
-        ArmAssistConfig(
-            waist_width=0.3,
-            grip=0.075,
-            unsettled=0.7,
-            speed_seen=True,
-            settled_speed=0.1,
-            carrying_speed=0.5,
-        ),
-        expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
-        bound=11280,
-        preference_budget=4.512,
-        preferences_need_help=True,
-    ),
+_PAPER = TaskSpec(
+    "arm_assist",
+    0,
+    ArmAssist,
+    _SCENE,
+    expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
+    bound=11280,
+    preference_budget=4.512,
+    tremor_weakens=True,
 )
+_HELPING = TaskSpec(
+    "arm_assist",
+    1,
+    ArmAssist,
+    replace(limited(_SCENE, "forearm"), ready=_BESIDE),
+    ArmAssistConfig(
+        waist_width=0.3,
+        grip=0.075,
+        unsettled=0.7,
+        speed_seen=True,
+        settled_speed=0.1,
+        carrying_speed=0.5,
+    ),
+    expert="assistax.policies.experts.arm_assist:ArmAssistExpert",
+    bound=11280,
+    preference_budget=4.512,
+    preferences_need_help=True,
+)
+# An arm that falls out of bed again was not brought back.
+_FOR_GOOD = replace(
+    _HELPING,
+    version=2,
+    scene=replace(_HELPING.scene, throat=True),
+    config=replace(_HELPING.config, to_the_end=True),
+)
+
+SPECS = (_PAPER, _HELPING, _FOR_GOOD)

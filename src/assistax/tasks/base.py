@@ -70,7 +70,7 @@ class Task(Protocol):
         ...
 
     def tool_speed(self, s: Sensors, state: TaskState) -> jax.Array:
-        """Speed of the tool point in m/s, as the body part that it works on sees it."""
+        """Speed of the tool point in m/s, as the body part that it works on sees it, or as far as it counts as work."""
         ...
 
     def outcomes(self, state: TaskState) -> dict[str, jax.Array]:

@@ -15,7 +15,7 @@ import mujoco
 from assistax.pytree import pytree
 from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry, limited
 from assistax.scenes.geometry import norm
-from assistax.tasks.base import Sensors, tool_velocity
+from assistax.tasks.base import Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
 from assistax.tasks.rewards import UP, approach, boltzmann, envelope, orientation
 
@@ -40,6 +40,7 @@ class FeedingConfig:
     mouth_height: float = 1e3  # m, the same up or down the face
     mouth_angle: float = pi  # rad: bowl from straight ahead, its tip from straight in, its upper side from up
     mouth_speed: float = 1e3  # m/s, at most
+    mouth_force: float = 0.0  # N, on the face, at least
     success_seconds: float = 0.5  # s, in all
     # The arm starts with the spoon level. The food is lost when it tips too far while still away from the mouth.
     spill_angle: float = 0.7854  # rad from upright
@@ -119,7 +120,8 @@ class Feeding:
         return state.acceleration + share * ((s["tool_vel"] - state.velocity) / self.dt - state.acceleration)
 
     def _at_mouth(self, s: Sensors):
-        """Whether the bowl, between its middle and its tip, is at the mouth: in front, tip in, upper side up."""
+        """Whether the bowl, between its middle and its tip, is at the mouth: in front, tip in, upper side up, and
+        felt."""
         c = self.config
         tool, face = geometry.matrix(s["tool_quat"]), geometry.matrix(s["mouth_quat"])
         vector, tip, ahead = s["mouth_pos"] - s["tool_pos"], tool[:, 2], face[:, 0]
@@ -128,7 +130,8 @@ class Feeding:
         behind = -vector - c.bowl * tip  # from the mouth to where the handle begins, never at the mouth itself
         cosines = jnp.stack([geometry.unit(behind) @ ahead, -tip @ ahead, -tool[2, 0]])
         near = (norm(from_bowl) < c.mouth_distance) & (aside < c.mouth_width) & (above < c.mouth_height)
-        return near & (cosines >= jnp.cos(c.mouth_angle) - 1e-6).all()
+        felt = norm(tool_force(s, "head")) >= c.mouth_force
+        return near & felt & (cosines >= jnp.cos(c.mouth_angle) - 1e-6).all()
 
     def _from_bowl(self, s: Sensors):
         """Vector [3] m to the mouth, in world axes, from the part of the bowl that is nearest to it."""
@@ -205,4 +208,12 @@ _AT_THE_LIPS = replace(
     config=replace(_HELPING.config, reach_of_bowl=True, mouth_width=0.02, mouth_height=0.01),
 )
 
-SPECS = (_PAPER, _HELPING, _AT_THE_LIPS)
+# Food that is poured out 7 cm before the mouth is on the clothes, and a spoon that never touches a lip feeds nobody.
+_ON_THE_LIPS = replace(
+    _AT_THE_LIPS,
+    version=3,
+    scene=replace(_AT_THE_LIPS.scene, throat=True),
+    config=replace(_AT_THE_LIPS.config, spill_distance=0.0, mouth_force=0.1),
+)
+
+SPECS = (_PAPER, _HELPING, _AT_THE_LIPS, _ON_THE_LIPS)

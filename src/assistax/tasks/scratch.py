@@ -4,7 +4,7 @@ Paper: task "Scratch"; reward components r_t and r_s.
 """
 
 from dataclasses import dataclass, replace
-from math import pi
+from math import exp, pi
 from typing import ClassVar
 
 import jax
@@ -32,6 +32,8 @@ class ScratchConfig:
     force: float = 3.0  # N, f* of the scratch term
     scratch_scale: float = 4.0  # of the scratch term
     pay_help_only: bool = False  # whether the scratch term pays only where it helps, or wherever the tool is near
+    # What counts as speed: the stick's own and over the skin, the lesser, low-pass filtered; 0: over the skin alone.
+    stroke_seconds: float = 0.0  # s
     sided: bool = False  # whether observations tell on which side it itches, and reach leads around the limb to it
     # Where an itch can be: between these fractions of the segment's half-length, and within this
     # angle of the side that faces away from the trunk.
@@ -53,6 +55,7 @@ class ScratchState:
     segment: jax.Array  # int32: index into SEGMENTS
     itch: jax.Array  # [3] m, the itch in the segment's body frame
     scratch_seconds: jax.Array
+    strokes: jax.Array  # [2, 3] m/s, of the stick over the skin and in the room, low-pass filtered
 
 
 class Scratch:
@@ -89,7 +92,7 @@ class Scratch:
             angle = jnp.where(segment == 1, c.spared[1] + (2.0 * pi - spared) * u[2], angle)
         normal = jnp.cos(angle) * self._outward[segment] + jnp.sin(angle) * self._side[segment]
         itch = self._centre[segment] + height * self._axis[segment] + self._radius[segment] * normal
-        return ScratchState(segment, itch, jnp.float32(0.0))
+        return ScratchState(segment, itch, jnp.float32(0.0), jnp.zeros((2, 3)))
 
     def _to_itch(self, s: Sensors, state: ScratchState):
         """Vector [3] from the tool to the itch, in world axes."""
@@ -143,11 +146,15 @@ class Scratch:
 
     def advance(self, s: Sensors, state: ScratchState) -> ScratchState:
         c = self.config
+        if c.stroke_seconds:
+            now = jnp.stack([self.tool_velocity(s, state), s["tool_vel"]])
+            share = 1.0 - exp(-self.dt / c.stroke_seconds)
+            state = replace(state, strokes=state.strokes + share * (now - state.strokes))
         speed, force = self.tool_speed(s, state), norm(self._on_segment(s, state, tool_force))
         scratching = norm(self._to_itch(s, state)) < c.scratch_distance
         scratching &= (c.scratch_force[0] <= force) & (force <= c.scratch_force[1])
-        scratching &= (c.scratch_speed[0] <= speed) & (speed <= c.scratch_speed[1])
-        return ScratchState(state.segment, state.itch, state.scratch_seconds + self.dt * scratching)
+        scratching &= (c.scratch_speed[0] <= speed) & (norm(self.tool_velocity(s, state)) <= c.scratch_speed[1])
+        return replace(state, scratch_seconds=state.scratch_seconds + self.dt * scratching)
 
     def helping(self, s: Sensors, state: ScratchState):
         """On the itch, touching the segment that it is on."""
@@ -159,7 +166,8 @@ class Scratch:
         return self._on_segment(s, state, tool_velocity)
 
     def tool_speed(self, s: Sensors, state: ScratchState):
-        return norm(self.tool_velocity(s, state))
+        """In m/s, as far as it counts: see `ScratchConfig.stroke_seconds`."""
+        return norm(state.strokes).min() if self.config.stroke_seconds else norm(self.tool_velocity(s, state))
 
     @staticmethod
     def _on_segment(s: Sensors, state: ScratchState, of):
@@ -220,4 +228,12 @@ _NEARER = replace(
     clock=1.5,
 )
 
-SPECS = (_PAPER, _HELPING, _NEARER)
+# Over so short a time a stick that trembles by 3 mm, or rests while the arm moves, scratches nothing.
+_BY_STROKES = replace(
+    _NEARER,
+    version=3,
+    scene=replace(_NEARER.scene, throat=True),
+    config=replace(_NEARER.config, stroke_seconds=0.1),
+)
+
+SPECS = (_PAPER, _HELPING, _NEARER, _BY_STROKES)

@@ -4,7 +4,7 @@ Paper: task "Tooth Brushing"; reward components r_te, r_a and r_b. The bristles 
 tool frame, the handle along −z.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import pi
 from typing import ClassVar
 
@@ -29,6 +29,9 @@ class ToothBrushingConfig:
     align_inward: bool = False  # whether bristles are to look along the mouth's axis, or at its middle
     pay_help_only: bool = False  # whether the brush term pays only where it helps, or wherever the bristles are near
     near: float = 0.05  # m, the brush term counts when the bristles are nearer than this
+    mouth_width: float = 1e3  # m, and to either side of the face no further than this
+    mouth_height: float = 1e3  # m, the same up or down the face
+    own_strokes: bool = False  # whether only what the brush itself moves is speed, or also what the head does
     speed: float = 0.1  # m/s, v* of the brush term
     force: float = 1.0  # N, f* of the brush term
     # What counts as brushing, and for how long in all it must last to be a success.
@@ -68,12 +71,17 @@ class ToothBrushing:
             "target_rotation": rotation.ravel(),
         }
 
-    @staticmethod
-    def _stroke(s: Sensors):
+    def _stroke(self, s: Sensors):
         """(distance to the mouth in m, speed across in m/s, force in N)."""
-        vector = s["mouth_pos"] - s["tool_pos"]
-        towards, velocity = geometry.unit(vector), tool_velocity(s, "head")
-        return norm(vector), norm(velocity - (velocity @ towards) * towards), norm(tool_force(s, "head"))
+        vector, velocity = s["mouth_pos"] - s["tool_pos"], tool_velocity(s, "head")
+        if self.config.own_strokes:
+            ahead = geometry.matrix(s["mouth_quat"])[:, 0]
+            both = jnp.stack([velocity, s["tool_vel"]])
+            speed = norm(both - (both @ ahead)[:, None] * ahead).min()
+        else:
+            towards = geometry.unit(vector)
+            speed = norm(velocity - (velocity @ towards) * towards)
+        return norm(vector), speed, norm(tool_force(s, "head"))
 
     def reward_terms(self, s: Sensors, state: ToothBrushingState):
         c = self.config
@@ -98,12 +106,14 @@ class ToothBrushing:
 
     def helping(self, s: Sensors, state: ToothBrushingState):
         """The bristles are at the mouth and look into the face."""
-        bristle, ahead = -geometry.matrix(s["tool_quat"])[:, 0], geometry.matrix(s["mouth_quat"])[:, 0]
-        facing = -bristle @ ahead >= jnp.cos(self.config.brush_angle) - 1e-6
-        return facing & (norm(s["mouth_pos"] - s["tool_pos"]) < self.config.near)
+        c, face, vector = self.config, geometry.matrix(s["mouth_quat"]), s["mouth_pos"] - s["tool_pos"]
+        bristle = -geometry.matrix(s["tool_quat"])[:, 0]
+        facing = -bristle @ face[:, 0] >= jnp.cos(c.brush_angle) - 1e-6
+        _, aside, above = jnp.abs(face.T @ vector)
+        return facing & (norm(vector) < c.near) & (aside < c.mouth_width) & (above < c.mouth_height)
 
     def tool_speed(self, s: Sensors, state: ToothBrushingState):
-        return norm(tool_velocity(s, "head"))
+        return self._stroke(s)[1] if self.config.own_strokes else norm(tool_velocity(s, "head"))
 
     def outcomes(self, state: ToothBrushingState):
         return {"brush_seconds": state.brush_seconds}
@@ -120,26 +130,34 @@ class ToothBrushing:
 
 _SCENE = SceneConfig("wheelchair", "seated", "toothbrush", (0.65, 0.3, 0.32), pi + 0.5, NECK, **MEAL_VIEW)
 
-SPECS = (
-    TaskSpec(
-        "tooth_brushing",
-        0,
-        ToothBrushing,
-        _SCENE,
-        expert="assistax.policies.experts.tooth_brushing:ToothBrushingExpert",
-        bound=3140,
-        preference_budget=1.256,
-        tremor_weakens=True,
-    ),
-    TaskSpec(
-        "tooth_brushing",
-        1,
-        ToothBrushing,
-        limited(_SCENE, "head"),
-        ToothBrushingConfig(brush_scale=4.0, brush_angle=pi / 3, align_inward=True, pay_help_only=True),
-        expert="assistax.policies.experts.tooth_brushing:ToothBrushingExpert",
-        bound=3542,
-        preference_budget=1.256,
-        preferences_need_help=True,
-    ),
+_PAPER = TaskSpec(
+    "tooth_brushing",
+    0,
+    ToothBrushing,
+    _SCENE,
+    expert="assistax.policies.experts.tooth_brushing:ToothBrushingExpert",
+    bound=3140,
+    preference_budget=1.256,
+    tremor_weakens=True,
 )
+_HELPING = TaskSpec(
+    "tooth_brushing",
+    1,
+    ToothBrushing,
+    limited(_SCENE, "head"),
+    ToothBrushingConfig(brush_scale=4.0, brush_angle=pi / 3, align_inward=True, pay_help_only=True),
+    expert="assistax.policies.experts.tooth_brushing:ToothBrushingExpert",
+    bound=3542,
+    preference_budget=1.256,
+    preferences_need_help=True,
+)
+# Within 5 cm of the mouth are nose and cheeks, too, and a head that shakes moves them along a brush that rests.
+_AT_THE_TEETH = replace(
+    _HELPING,
+    version=2,
+    scene=replace(_HELPING.scene, throat=True),
+    config=replace(_HELPING.config, mouth_width=0.025, mouth_height=0.015, own_strokes=True, brush_scale=8.0),
+    bound=4083,
+)
+
+SPECS = (_PAPER, _HELPING, _AT_THE_TEETH)

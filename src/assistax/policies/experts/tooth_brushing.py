@@ -11,7 +11,7 @@ from assistax.tasks.rewards import LEVEL, UP
 class ToothBrushingExpert(Expert):
     """Brush level and across the mouth, bristles on it, in small circles."""
 
-    radius = 0.016  # m, of the circles
+    radius = 0.012  # m, of the circles
     stroke_speed = 0.045
     force = 2.1
     share = 0.7  # of the force felt that is pressed; the rest is the pull of the circles
