@@ -153,7 +153,7 @@ class Scratch:
         speed, force = self.tool_speed(s, state), norm(self._on_segment(s, state, tool_force))
         scratching = norm(self._to_itch(s, state)) < c.scratch_distance
         scratching &= (c.scratch_force[0] <= force) & (force <= c.scratch_force[1])
-        scratching &= (c.scratch_speed[0] <= speed) & (norm(self.tool_velocity(s, state)) <= c.scratch_speed[1])
+        scratching &= (c.scratch_speed[0] <= speed) & (speed <= c.scratch_speed[1])
         return replace(state, scratch_seconds=state.scratch_seconds + self.dt * scratching)
 
     def helping(self, s: Sensors, state: ScratchState):
