@@ -30,7 +30,7 @@ SETTINGS = {"engine": "mujoco", "episode_length": LENGTH}
 @pytest.fixture(scope="module")
 def env():
     """What all tests here compile once."""
-    return batch_of("scratch-v2", "mujoco", {"episode_length": LENGTH}).env
+    return batch_of("scratch-v3", "mujoco", {"episode_length": LENGTH}).env
 
 
 @dataclass(frozen=True)
@@ -54,10 +54,10 @@ def actions(env, i, n=2):
 
 def test_a_population_brings_its_people_along():
     """As itself, and by name; what else the person is stays the user's to say."""
-    people = Population.scripted("scratch-v2", Person("weakness", "default"), ("shy", "offers"))
-    one = AgentEnv("scratch-v2", partner=people, human={"visibility": "human"}, **SETTINGS)
+    people = Population.scripted("scratch-v3", Person("weakness", "default"), ("shy", "offers"))
+    one = AgentEnv("scratch-v3", partner=people, human={"visibility": "human"}, **SETTINGS)
     assert one._batch.env.config.human.people == people.people
-    assert one.observation_space.shape == AgentEnv("scratch-v2", partner="still", **SETTINGS).observation_space.shape
+    assert one.observation_space.shape == AgentEnv("scratch-v3", partner="still", **SETTINGS).observation_space.shape
     batch, players = one._batch, one._players
     _, state = batch.reset(players, jax.random.split(jax.random.key(0), NUM_ENVS))
     zeros = {"robot": jnp.zeros((NUM_ENVS, 7))}
@@ -65,7 +65,7 @@ def test_a_population_brings_its_people_along():
     index = state.partners["human"]["index"].tolist()
     assert index == state.env.person.index.tolist() and set(index) == {0, 1}
     with pytest.raises(UsageError, match=r"env\.human\.people must be theirs"):
-        AgentEnv(batch_of("scratch-v2", "mujoco", {"episode_length": LENGTH}).env, partner=people)
+        AgentEnv(batch_of("scratch-v3", "mujoco", {"episode_length": LENGTH}).env, partner=people)
 
 
 def test_a_partner_acts_as_it_would_in_the_functional_environment(env):
@@ -122,15 +122,15 @@ def test_every_task_is_registered():
 
 
 def test_a_task_is_made_without_an_import():
-    code = "import gymnasium; print(gymnasium.make('assistax.adapters.gymnasium:assistax/scratch-v2'))"
+    code = "import gymnasium; print(gymnasium.make('assistax.adapters.gymnasium:assistax/scratch-v3'))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert "AgentEnv<assistax/scratch-v2>" in done.stdout, done.stderr
+    assert "AgentEnv<assistax/scratch-v3>" in done.stdout, done.stderr
 
 
 @pytest.mark.parametrize("agent", ["robot", "human"])
 @pytest.mark.filterwarnings("ignore:.*infinity.*")  # joint speeds and forces have no bounds
 def test_gymnasiums_checker(env, agent):
-    one = gym.make("assistax/scratch-v2", agent=agent, **SETTINGS)
+    one = gym.make("assistax/scratch-v3", agent=agent, **SETTINGS)
     check_env(one.unwrapped, skip_render_check=True)
     assert one.action_space == gym.spaces.Box(-1.0, 1.0, (env.action_sizes[agent],))
 

@@ -41,7 +41,7 @@ def population():
 
 def untrained(clock=None):
     """Five untrained teams with preferences, whose robots see such a clock."""
-    env = assistax.make("scratch-v2", engine="mujoco", clock=clock, human={"preference": "default"})
+    env = assistax.make("scratch-v3", engine="mujoco", clock=clock, human={"preference": "default"})
     trainer = PPO(env, CONFIG, 2, 1)
     init, made = jax.jit(trainer.init), []
     for seed, words in enumerate(PEOPLE):
@@ -55,7 +55,7 @@ def untrained(clock=None):
 @pytest.fixture(scope="module")
 def two_kinds():
     """Two untrained members of larger networks than `population` has."""
-    env = assistax.make("scratch-v2", engine="mujoco", human={"preference": "default"})
+    env = assistax.make("scratch-v3", engine="mujoco", human={"preference": "default"})
     trainer = PPO(env, dataclasses.replace(CONFIG, hidden=(16,)), 2, 1)
     init, made = jax.jit(trainer.init), []
     for seed in (7, 8):
@@ -67,7 +67,7 @@ def two_kinds():
 
 
 def meeting(population, episodes=2):
-    env = assistax.make("scratch-v2", engine="mujoco", episode_length=30, human={"people": population.people})
+    env = assistax.make("scratch-v3", engine="mujoco", episode_length=30, human={"people": population.people})
     return Meeting(env, population, episodes)
 
 
@@ -129,7 +129,7 @@ def test_the_picture_needs_no_score(tmp_path):
     """Nobody of one part may be scored."""
     one = {"mean": 1.0, "ci": (0.3, 1.0 - 1e-15), "by_pair": [[1.0, 1.0]]}  # as Wilson's of what always happens
     methods = {"train": {"br": {"return": one, "score": one}}, "test": {"br": {"return": one}}}
-    found = {"task": "feeding-v2"} | {part: {"methods": made} for part, made in methods.items()}
+    found = {"task": "feeding-v3"} | {part: {"methods": made} for part, made in methods.items()}
     picture(found, tmp_path / "table.png")
     assert (tmp_path / "table.png").stat().st_size > 5000
 
@@ -177,14 +177,14 @@ def test_robots_that_have_met_a_held_out_partner_are_refused(robots, tmp_path):
     assert all(knows(made["br"], dataclasses.replace(parts["train"], rows=tuple(renamed))))
 
     learned = stored_run(tmp_path / "learned", configure("scratch", SETTINGS))
-    row = {"task": "scratch-v2", "algorithm": "ippo", "seed": 0, "steps": 64, "robot": True}
+    row = {"task": "scratch-v3", "algorithm": "ippo", "seed": 0, "steps": 64, "robot": True}
     row["person"] = dataclasses.asdict(Person("none", "default"))
     member = Population.of_teams([(row, learned.teams(deterministic=False)[0])])
     robot = stored_run(tmp_path / "robot", configure("scratch", SETTINGS, partners=(f"human={tmp_path}/learned",)))
     other = stored_run(tmp_path / "other", configure("scratch", SETTINGS), seed=1)
     assert [knows(run, member) for run in (learned, robot, other)] == [[True], [True], [False]]
 
-    people = Population.scripted("scratch-v2", Person("none", "default"), ("shy", "follows"))
+    people = Population.scripted("scratch-v3", Person("none", "default"), ("shy", "follows"))
     went_on = Population.of_teams([(row | {"taught": "offer"}, learned.teams(deterministic=False)[0])])
     beside = stored_run(tmp_path / "beside", configure("scratch", SETTINGS, partners=(f"human={tmp_path}/other",)))
     another = stored_run(tmp_path / "another", configure("scratch", SETTINGS, seed=5), seed=1)
@@ -197,19 +197,19 @@ def test_robots_that_have_met_a_held_out_partner_are_refused(robots, tmp_path):
 def test_players_from_python_are_told_by_what_they_do(population, two_kinds, tmp_path):
     """Members of two architectures and somebody with a habit, given as one player."""
     strangers = population.select(population.ids[3:])
-    people = Population.scripted("scratch-v2", Person("tremor", "default"), ("shy", "follows"))
+    people = Population.scripted("scratch-v3", Person("tremor", "default"), ("shy", "follows"))
     among = Population.merge([two_kinds, population.select(population.ids[:2]), people.select(people.ids[:1])])
     settings = {k: v for k, v in SETTINGS.items() if "human" not in k} | {"env.human.people": among.people}
     config = configure("scratch", settings)
     given = {"human": among.partner("human", env=meeting(among).env)}
     run = Run.create(config, tmp_path / "run", players=given)
     assert all(knows(run, among)) and not any(knows(run, strangers))
-    assert knows(run, Population.scripted("scratch-v2", Person("none", "default"), ("shy", "follows"))) == [True, False]
+    assert knows(run, Population.scripted("scratch-v3", Person("none", "default"), ("shy", "follows"))) == [True, False]
 
 
 def test_everybodys_own_robot_may_be_of_another_architecture(population, two_kinds):
     """And somebody may have none."""
-    people = Population.scripted("scratch-v2", Person("none", "default"), ("shy",))
+    people = Population.scripted("scratch-v3", Person("none", "default"), ("shy",))
     mixed = Population.merge([population.select(population.ids[:2]), people, two_kinds])
     everybody, own = meeting(mixed), meeting(mixed).references()["own"]["return"]
     assert np.isnan(own[2]).all() and np.isfinite(own[[0, 1, 3, 4]]).all()
@@ -253,14 +253,14 @@ def test_own_robots_see_the_clock_that_they_learned_with(tmp_path):
 
 def test_members_who_observe_something_else_are_one_line(population):
     """They were trained without seeing the preferences that people here see."""
-    env = assistax.make("scratch-v2", engine="mujoco", human={"people": population.people, "visibility": "none"})
+    env = assistax.make("scratch-v3", engine="mujoco", human={"people": population.people, "visibility": "none"})
     with pytest.raises(UsageError, match=r"humans of the population, architecture ippo-.*, observe"):
         Meeting(env, population, 1)
 
 
 def test_people_of_one_version_are_not_met_in_another(population):
     env = assistax.make("scratch-v1", engine="mujoco", human={"people": population.people})
-    with pytest.raises(UsageError, match=r"is of scratch-v2 and cannot be met in scratch-v1"):
+    with pytest.raises(UsageError, match=r"is of scratch-v3 and cannot be met in scratch-v1"):
         Meeting(env, population, 1)
 
 
@@ -328,7 +328,7 @@ def test_best_responses_are_references_for_those_whom_they_know(robots):
 def test_partners_without_a_robot_are_no_obstacle_to_the_others(population, robots):
     """People with habits have none: beside them nobody is a reference for 1."""
     root, made = robots
-    people = Population.scripted("scratch-v2", Person("none", "default"), ("shy",))
+    people = Population.scripted("scratch-v3", Person("none", "default"), ("shy",))
     strangers = [splits.named(f"{root}/pop:random/{part}")[1].ids[0] for part in ("val", "test")]
     mixed = Population.merge([people, population.select(strangers)])
     found = report({"oracle": [made["oracle"]]}, {"test": mixed}, episodes=1)["test"]
@@ -461,7 +461,7 @@ class Counting:
 
 
 def test_a_memory_lasts_from_one_episode_to_the_next(population):
-    env = assistax.make("scratch-v2", engine="mujoco", episode_length=STEPS, human={"people": population.people})
+    env = assistax.make("scratch-v3", engine="mujoco", episode_length=STEPS, human={"people": population.people})
     series = Series(env, population, in_a_row=2, repeats=2)
     mixed, still, moving = (series(Player(Counting(*args))) for args in ((0.0, 0.5), (0.0, 0.0), (0.5, 0.5)))
     assert mixed["return"].shape == (5, 2, 2) and mixed["memory"].shape == (5, 2, 1, 1)

@@ -18,22 +18,22 @@ from assistax.errors import UsageError
 
 def test_every_task_once_before_any_other_size():
     tasks = newest_tasks()
-    assert tasks[:2] == ["scratch-v2", "bed_bath-v2"] and len(set(tasks)) == len(tasks) >= 5
+    assert tasks[:2] == ["scratch-v3", "bed_bath-v2"] and len(set(tasks)) == len(tasks) >= 5
     wanted = plan(tasks, "auto", (), True, "default")
     assert wanted[: len(tasks)] == [Measurement(task, "mujoco", 1024) for task in tasks]
     assert wanted[len(tasks) : 2 * len(tasks)] == [Measurement(t, "mujoco", None, "default", 1) for t in tasks]
     assert len(set(wanted)) == len(wanted) and {one.num_envs for one in wanted} == {1024, 256, 64, 16, 1, None}
-    assert plan(["feeding-v2"], "auto", (8,), True, "paper") == [
-        Measurement("feeding-v2", "mujoco", 8),
-        Measurement("feeding-v2", "mujoco", 8, "paper", 1),
+    assert plan(["feeding-v3"], "auto", (8,), True, "paper") == [
+        Measurement("feeding-v3", "mujoco", 8),
+        Measurement("feeding-v3", "mujoco", 8, "paper", 1),
     ]
 
 
 def test_an_accelerator_trains_at_every_size_and_many_seeds(monkeypatch):
     monkeypatch.setattr(measurements.jax, "default_backend", lambda: "gpu")
-    wanted = plan(["feeding-v2"], "warp", (), True, "default")
+    wanted = plan(["feeding-v3"], "warp", (), True, "default")
     assert {one.num_envs for one in wanted if one.preset} == {*measurements.ACCELERATOR_SIZES, None}
-    assert Measurement("feeding-v2", "warp", None, "default", MANY_SEEDS) in wanted
+    assert Measurement("feeding-v3", "warp", None, "default", MANY_SEEDS) in wanted
 
 
 def counted(monkeypatch):
@@ -63,7 +63,7 @@ def test_a_later_call_makes_what_is_missing(tmp_path, monkeypatch, capsys):
 
 def test_nothing_begins_after_the_budget_but_the_first(tmp_path, monkeypatch):
     made, said = counted(monkeypatch), []
-    wanted = plan(["feeding-v2"], "auto", (4, 2, 1), False, "default")
+    wanted = plan(["feeding-v3"], "auto", (4, 2, 1), False, "default")
     path = tmp_path / "here.json"
     measure(wanted, path, 1.0, -1.0, said.append)
     assert made == wanted[:1] and said[-1].startswith("The budget is spent; the same command ")
@@ -84,7 +84,7 @@ def test_json_is_all_that_is_printed_and_what_is_left_is_said_beside_it(monkeypa
 def test_files_of_other_code_are_not_gone_on_with(tmp_path, monkeypatch):
     counted(monkeypatch)
     path = tmp_path / "here.json"
-    wanted = plan(["feeding-v2"], "auto", (4,), False, "default")
+    wanted = plan(["feeding-v3"], "auto", (4,), False, "default")
     report = measure(wanted, path, 1.0, 60.0)
     path.write_text(json.dumps(report | {"hardware": "an abacus"}))
     with pytest.raises(UsageError, match="measured with other hardware; give another --out"):
@@ -135,7 +135,7 @@ def test_out_is_a_json_file_in_a_folder(tmp_path):
 
 def test_training_is_timed_with_its_seeds():
     report = bench_training("scratch", "auto", 4, 0.01, num_seeds=2)
-    assert report["task"] == "scratch-v2" and report["num_envs"] == 4 and report["rounds"] >= 3
+    assert report["task"] == "scratch-v3" and report["num_envs"] == 4 and report["rounds"] >= 3
     seconds = report["collect_s"] + report["update_s"]
     assert report["training_steps_per_s"] == pytest.approx(2 * 4 * 64 / seconds, rel=0.5)
     assert report["rollout_steps_per_s"] > report["training_steps_per_s"]

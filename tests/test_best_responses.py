@@ -23,7 +23,7 @@ from assistax.training.run import Run
 @pytest.fixture(scope="module")
 def population(tmp_path_factory):
     """Five untrained members, with a split: its folder."""
-    env = assistax.make("scratch-v2", engine="mujoco")
+    env = assistax.make("scratch-v3", engine="mujoco")
     trainer, made = PPO(env, PPOConfig(num_steps=4, num_minibatches=1, hidden=(8, 8)), 2, 1), []
     for seed, words in enumerate(("none", "tremor", "weakness", "limited_range", "strength=0.5")):
         params = trainer.policy_params(jax.jit(trainer.init)(jax.random.key(seed)))

@@ -21,7 +21,7 @@ LENGTH, NUM_ENVS = 6, 2
 
 @pytest.fixture(scope="module")
 def env():
-    return batch_of("scratch-v2", "mujoco", {"episode_length": LENGTH}).env
+    return batch_of("scratch-v3", "mujoco", {"episode_length": LENGTH}).env
 
 
 def actions(size, i):

@@ -53,7 +53,7 @@ def test_a_run_folder_holds_what_it_promises(run):
     wanted = {"task", "algorithm", "preset", "steps", "seeds", "success_rate", "mean_return"}
     wanted |= {"safe_success_rate"}
     assert wanted | {"env_steps_per_s", "hardware", "versions", "commit"} <= set(summary)
-    assert summary["steps"] == 640 and summary["task"] == "scratch-v2"
+    assert summary["steps"] == 640 and summary["task"] == "scratch-v3"
     rows = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     assert [row["steps"] for row in rows] == [64 * i for i in range(1, 11)]
     for name in ("learning_curve.png", "rollout.mp4", "config.json"):

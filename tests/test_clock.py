@@ -10,7 +10,7 @@ from assistax.policies.experts.controller import to_and_fro
 
 
 def test_the_robot_sees_sine_and_cosine_of_the_episodes_time_and_the_person_does_not():
-    env = assistax.make("scratch-v2", engine="mujoco", episode_length=40)
+    env = assistax.make("scratch-v3", engine="mujoco", episode_length=40)
     obs, state = env.reset(jax.random.key(0))
     place, step = env.obs_layout("robot")["clock"], jax.jit(env.step)
     assert "clock" not in env.obs_layout("human")
@@ -24,18 +24,18 @@ def test_the_robot_sees_sine_and_cosine_of_the_episodes_time_and_the_person_does
 
 def test_who_asks_for_no_clock_or_a_version_without_sees_none():
     sizes = {}
-    for name, clock in (("scratch-v1", None), ("scratch-v2", 0.0), ("scratch-v1", 1.5), ("scratch-v2", None)):
+    for name, clock in (("scratch-v1", None), ("scratch-v3", 0.0), ("scratch-v1", 1.5), ("scratch-v3", None)):
         env = assistax.make(name, engine="mujoco", clock=clock)
         sizes[name, clock] = env.observation_sizes["robot"], env.observation_sizes["human"], env.global_size
         assert ("clock" in env.obs_layout("robot")) == (sizes[name, clock][0] == 42)
-    assert sizes["scratch-v1", None] == sizes["scratch-v2", 0.0] == (40, 44, 58)
-    assert sizes["scratch-v1", 1.5] == sizes["scratch-v2", None] == (42, 44, 60)
+    assert sizes["scratch-v1", None] == sizes["scratch-v3", 0.0] == (40, 44, 58)
+    assert sizes["scratch-v1", 1.5] == sizes["scratch-v3", None] == (42, 44, 60)
 
 
 @pytest.mark.parametrize("clock", [-1.0, float("nan"), "fast", True])
 def test_a_clock_runs_at_a_number_of_hz(clock):
     with pytest.raises(UsageError, match="clock must be"):
-        assistax.make("scratch-v2", engine="mujoco", clock=clock)
+        assistax.make("scratch-v3", engine="mujoco", clock=clock)
 
 
 def test_a_swing_to_the_clock_is_as_fast_as_wished_and_goes_where_it_says():

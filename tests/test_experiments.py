@@ -189,7 +189,7 @@ def test_a_person_who_does_nothing_is_a_frozen_partner(asked, tmp_path):
         (experiment,) = [e for e in experiments() if e.name == pattern]
         assert experiment.advance(tmp_path / "none", 1.0) is None
     still, trembling = asked
-    assert still.task == "feeding-v2" and still.partners == ("human=still",) and still.steps == 2_000_000
+    assert still.task == "feeding-v3" and still.partners == ("human=still",) and still.steps == 2_000_000
     assert trembling.task == "feeding-v0" and trembling.env.human.disability == "tremor+weakness"
 
 

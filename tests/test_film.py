@@ -127,7 +127,7 @@ def test_washed_spots_change_colour_and_clean_ones_hardly_show():
 
 
 def test_the_film_is_taken_from_where_the_itch_is_seen():
-    env = make("scratch-v2", engine="mujoco")
+    env = make("scratch-v3", engine="mujoco")
     with camera("scratch") as cam:
         start = cam.model.key("start").qpos
         cam.pose(start, np.zeros(3))
@@ -141,7 +141,7 @@ def test_the_film_is_taken_from_where_the_itch_is_seen():
         for seed in range(6):
             place, normal, _ = env.task.skin(sensors, env.task.reset(jax.random.key(seed)))
             np.testing.assert_allclose(out_of_skin(cam.model, cam.data, np.asarray(place)), normal, atol=1e-3)
-            filmed = still(cam, "scratch-v2", np.asarray(place), np.zeros((1, 3)))
+            filmed = still(cam, "scratch-v3", np.asarray(place), np.zeros((1, 3)))
             for view, found in (("close", from_close), (viewpoint(cam, filmed, Spots(cam, filmed)), seen)):
                 cam.view = view
                 cam.picture(start, filmed.marker[0])

@@ -32,7 +32,7 @@ LIMITS = {  # N: up to where it is comfortable, for clamping and for impact; the
     "face": (5, 65, 90), "skull": (10, 130, 175), "neck": (10, 35, 35), "trunk": (10, 140, 210),
     "thigh": (10, 220, 440), "upper_arm": (10, 150, 190), "forearm": (10, 160, 220), "hand": (10, 135, 180),
 }  # fmt: skip
-GEOMS = {"chest": "trunk", "belly": "trunk", "pelvis": "trunk"}
+GEOMS = {"throat": "neck", "chest": "trunk", "belly": "trunk", "pelvis": "trunk"}
 GEOMS |= {f"{side}_{part}": part for side in ("right", "left") for part in ("thigh", "upper_arm", "forearm", "hand")}
 BUDGET = {"scratch": 3.165, "bed_bath": 1.624, "arm_assist": 4.512, "feeding": 1.88, "tooth_brushing": 1.256}
 
@@ -118,19 +118,24 @@ class Seen(Truth):
 
 
 def scratch(env, seen, before):
-    near = {"scratch-v1": 0.04, "scratch-v2": 0.02}[env.name]
+    near = {"scratch-v1": 0.04, "scratch-v2": 0.02, "scratch-v3": 0.02}[env.name]
     part = ("upper_arm", "forearm")[int(before.segment)]
     itch, normal, way = seen.spot(part, np.asarray(before.itch, float))
     vector = itch - seen.tool
-    d, v, f = np.linalg.norm(vector), np.linalg.norm(seen.tool_velocity(part)), seen.tool_force(part)
+    d, moves, f = np.linalg.norm(vector), seen.tool_velocity(part), seen.tool_force(part)
+    strokes = np.asarray(before.strokes, float)
+    v = np.linalg.norm(moves)
+    if env.name == "scratch-v3":  # over the skin and in the room, both low-pass filtered over 0.1 s
+        strokes = strokes + (1 - np.exp(-DT / 0.1)) * (np.stack([moves, seen.velocity]) - strokes)
+        v = min(np.linalg.norm(strokes[0]), np.linalg.norm(strokes[1]))
     terms = {
         "reach": np.exp(-(way**2) / 0.1),
         "scratch": 16 * (d < near and f > 1e-3) * bump(v / 0.1) * bump(f / 3.0),
     }
     scratching = d < near and 1.0 <= f <= 6.0 and 0.03 <= v <= 0.3
-    after = {"scratch_seconds": before.scratch_seconds + DT * scratching}
+    after = {"scratch_seconds": before.scratch_seconds + DT * scratching, "strokes": strokes}
     blocks = {"target_vector": vector, "target_distance": [d], "target_normal": normal}
-    return blocks, terms, after, (d < near and f > 1e-3, part)
+    return blocks, terms, after, (d < near and f > 1e-3, v)
 
 
 def bed_bath(env, seen, before):
@@ -158,7 +163,12 @@ def bed_bath(env, seen, before):
     blocks = {"target_vector": places[best] - seen.tool, "target_normal": normals[best]}
     nearest = parts[np.argmin(np.linalg.norm(places - seen.tool, axis=1))]
     dirt_goes = (rubbed & ~np.asarray(before.visited)).any()
-    return blocks, terms, {"visited": visited, "seconds": seconds}, (dirt_goes, nearest)
+    return (
+        blocks,
+        terms,
+        {"visited": visited, "seconds": seconds},
+        (dirt_goes, np.linalg.norm(seen.tool_velocity(nearest))),
+    )
 
 
 def arm_assist(env, seen, before):
@@ -175,8 +185,8 @@ def arm_assist(env, seen, before):
     }
     blocks = {"target_vector": wrist - seen.tool, "waist_vector": waist - wrist}
     blocks |= {"target_velocity": moves, "thrown": [thrown]}
-    after = {"seconds_at_waist": before.seconds_at_waist + DT * settled, "thrown": thrown}
-    return blocks, terms, after, (there and not thrown, "forearm")
+    after = {"seconds_at_waist": before.seconds_at_waist + DT * settled, "thrown": thrown, "there": there}
+    return blocks, terms, after, (there and not thrown, np.linalg.norm(seen.tool_velocity("forearm")))
 
 
 def feeding(env, seen, before):
@@ -190,13 +200,15 @@ def feeding(env, seen, before):
     acceleration = np.asarray(before.acceleration, float)
     acceleration = acceleration + share * ((seen.velocity - np.asarray(before.velocity, float)) / DT - acceleration)
     tilt = np.arccos(np.clip(cosine(up, 9.81 * UP + acceleration), -1, 1))
-    tipped = before.tipped_seconds + DT * (d > 0.1 and tilt > np.pi / 4)
+    newest = env.name == "feeding-v3"
+    tipped = before.tipped_seconds + DT * ((d > 0.1 or newest) and tilt > np.pi / 4)
     spilled = bool(before.spilled) or ((tipped > 0.1 or tilt > np.pi / 2) and before.mouth_seconds < 0.5)
     to_bowl = vector - tip * np.clip(vector @ tip, 0, 0.036)
     _, aside, above = np.abs(face.T @ to_bowl)
     at_lips = env.name == "feeding-v1" or (aside < 0.02 and above < 0.01)
     angles = cosine(seen.tool - mouth - 0.036 * tip, ahead), -tip @ ahead, up[2]
     at_mouth = np.linalg.norm(to_bowl) < 0.03 and at_lips and min(angles) >= 0.5
+    at_mouth &= seen.tool_force("head") >= 0.1 or not newest
     eating = at_mouth and not spilled and speed <= 0.1
     towards = (1 - p) * UP + p * unit(vector)
     lean = min(np.arccos(np.clip(cosine(towards, UP), -1, 1)), np.pi / 12)
@@ -209,35 +221,38 @@ def feeding(env, seen, before):
     }
     after = {"spilled": spilled, "tipped_seconds": tipped, "mouth_seconds": before.mouth_seconds + DT * eating}
     after |= {"acceleration": acceleration}
-    return {"target_vector": vector, "mouth_pos": mouth}, terms, after, (at_mouth and not spilled, "head")
+    return {"target_vector": vector, "mouth_pos": mouth}, terms, after, (at_mouth and not spilled, speed)
 
 
 def tooth_brushing(env, seen, before):
     mouth, face = seen.site("mouth")
     vector = mouth - seen.tool
     d, towards, moves = np.linalg.norm(vector), unit(vector), seen.tool_velocity("head")
-    across, f = np.linalg.norm(np.cross(moves, towards)), seen.tool_force("head")
+    across, f, newest = np.linalg.norm(np.cross(moves, towards)), seen.tool_force("head"), env.name.endswith("v2")
     bristle, handle = -seen.frame[:, 0], -seen.frame[:, 2]
     there = d < 0.05 and -bristle @ face[:, 0] >= 0.5
+    likes = np.linalg.norm(moves)
+    if newest:  # what the brush itself moves along the teeth
+        likes = across = min(np.linalg.norm(np.cross(v, face[:, 0])) for v in (moves, seen.velocity))
+        there &= abs(vector @ face[:, 1]) < 0.025 and abs(vector @ face[:, 2]) < 0.015
     brushing = there and 0.3 <= f <= 3.0 and 0.03 <= across <= 0.3
     terms = {
         "reach": 2 * np.exp(-3 * d),
         "align": 0.5 * (1 - bristle @ face[:, 0] - abs(handle[2])) * np.exp(-3 * d),
-        "brush": 4 * there * bump(across / 0.1) * bump(f),
+        "brush": (8 if newest else 4) * there * bump(across / 0.1) * bump(f),
     }
     after = {"brush_seconds": before.brush_seconds + DT * brushing}
-    return {"target_vector": vector, "mouth_pos": mouth}, terms, after, (there, "head")
+    return {"target_vector": vector, "mouth_pos": mouth}, terms, after, (there, likes)
 
 
 def liking(x, low, high):
     return 1.0 if low <= x <= high else np.exp(-(((2 * x - low - high) / (high - low)) ** 2) / 2)
 
 
-def preferred(budget, seen, person, force_before, action, helps, part):
+def preferred(budget, seen, person, force_before, action, helps, speed):
     """What a person is paid who wants this speed and force of the tool, none of it to begin anew, and no effort."""
     weights = np.asarray(person.weights, float)
     share = budget * weights / (weights[0] + weights[1] + weights[3])
-    speed = np.linalg.norm(seen.tool_velocity(part))
     return {
         "prefer_speed": helps * share[0] * liking(speed, *np.asarray(person.speed, float)),
         "prefer_force": helps * share[1] * liking(seen.f, *np.asarray(person.force, float)),
@@ -271,7 +286,8 @@ def said_of_harm(after, info):
 
 
 TASKS = {f.__name__: f for f in (scratch, bed_bath, arm_assist, feeding, tooth_brushing)}
-NEWEST, EARLIER = [task_spec(name).id for name in TASKS], ["scratch-v1", "bed_bath-v1", "feeding-v1"]
+NEWEST = [task_spec(name).id for name in TASKS]
+EARLIER = [f"{task}-v1" for task in TASKS] + ["scratch-v2", "feeding-v2"]
 
 
 def played(env, who, steps, poses=None):
@@ -375,7 +391,7 @@ def pressed(env, *parts):
     mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
     face, rng = data.site("mouth").xmat.reshape(3, 3), np.random.default_rng(0)
-    ways = {"face": face[:, 0], "skull": UP, "neck": -face[:, 2]}
+    ways = {"face": face[:, 0], "skull": UP, "neck": unit(0.5 * face[:, 0] - face[:, 2])}
     geoms = ["head" if part in ways else part for part in parts]
     middle = np.mean([data.geom(geom).xpos for geom in geoms], axis=0)
 

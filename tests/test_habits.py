@@ -17,7 +17,7 @@ from assistax.policies.people import Reflex, offer
 
 @pytest.fixture(scope="module")
 def env():
-    return assistax.make("scratch-v2", engine="mujoco")
+    return assistax.make("scratch-v3", engine="mujoco")
 
 
 @pytest.fixture(scope="module")

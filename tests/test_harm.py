@@ -79,7 +79,7 @@ def test_forces_by_region_are_those_of_the_contact_list(name):
         mujoco.mj_forward(model, data)
         truth, clear = region_truth(model, data)
         got = np.asarray(step(state, jnp.asarray(qpos, jnp.float32)))
-        np.testing.assert_allclose(got[:3].sum(), truth[:3].sum(), rtol=2e-2, atol=2e-2)
+        np.testing.assert_allclose(got[:3].max(), truth[:3].max(), rtol=2e-2, atol=2e-2)
         np.testing.assert_allclose(got[3:], truth[3:], rtol=2e-2, atol=2e-2)
         if clear:
             np.testing.assert_allclose(got, truth, rtol=2e-2, atol=2e-2)
@@ -175,3 +175,25 @@ def test_an_episodes_cost_is_the_sum_of_its_steps_costs():
         total += float(info["cost"])
         assert float(info["metrics"]["cost"]) == pytest.approx(total, rel=1e-5)
     assert total > 0
+
+
+def test_a_spoon_against_the_throat_is_felt_there_and_goes_no_further():
+    """Pushed against it below the chin with 20 N for a second; until version 2 of feeding it went through."""
+    past, radius = {}, 0.04
+    for version in (2, 3):
+        model = env_of(f"feeding-v{version}").model
+        data, tip, jac = mujoco.MjData(model), model.site("tool_tip").id, np.zeros((3, model.nv))
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+        mujoco.mj_kinematics(model, data)
+        ahead, torso = data.site("mouth").xmat.reshape(3, 3)[:, 0], data.body("torso")
+        throat = torso.xpos + torso.xmat.reshape(3, 3) @ [0.0, 0.0, 0.085]
+        data.qpos = solve(model, throat + 0.12 * ahead, tolerance=2e-3)
+        arm = scenes.qpos_ids(model, scenes.PANDA.joints)
+        motors = [model.actuator(joint).id for joint in scenes.PANDA.joints]
+        for _ in range(500):
+            mujoco.mj_jacSite(model, data, jac, None, tip)
+            data.ctrl[motors] = jac[:, arm].T @ (-20.0 * ahead - 60.0 * jac @ data.qvel)
+            mujoco.mj_step(model, data)
+        past[version] = (throat - data.site_xpos[tip]) @ ahead
+    assert past[2] > radius and past[3] < -radius
+    assert 10.0 < np.linalg.norm(data.sensor("robot_force_throat").data) < 30.0

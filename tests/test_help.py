@@ -44,11 +44,39 @@ def test_the_wrong_side_of_the_arm_does_not_itch():
     state = env.task.reset(jax.random.key(0))
     itch = limb.centre + limb.radius * normal
     state = dataclasses.replace(state, segment=jnp.int32(1), itch=jnp.asarray(itch, jnp.float32))
+    state = dataclasses.replace(state, strokes=jnp.full((2, 3), 0.06))  # as before
     frame = np.asarray(scenes.geometry.matrix(jnp.asarray(s["forearm_quat"][0])))
     s["tool_vel_forearm"], s["tool_force_forearm"] = np.array([[0, 0.1, 0.0]]), np.array([[0, 0, 3.0]])
     for side, counts in ((1.0, True), (-1.0, False)):
         s["tool_pos"] = s["forearm_pos"] + frame @ (limb.centre + side * limb.radius * normal)
         assert bool(play(env, s, state).scratch_seconds > 0) == counts
+
+
+def test_strokes_scratch_and_what_trembles_or_rests_on_an_arm_that_moves_does_not():
+    """Against a float64 filter of both velocities, of the stick over the skin and in the room, along swings."""
+    env, s = at_rest("scratch")
+    state = dataclasses.replace(env.task.reset(jax.random.key(0)), segment=jnp.int32(1))
+    frame = np.asarray(scenes.geometry.matrix(jnp.asarray(s["forearm_quat"][0])), float)
+    s["tool_pos"] = s["forearm_pos"] + frame @ np.asarray(state.itch)
+    s["tool_force_forearm"] = np.array([[0, 0, 3.0]])
+    t, seconds = DT * np.arange(250), {}
+    for name, hertz, mm, own in (
+        ("strokes", 1.5, 10.0, 1.0),
+        ("trembles", 15.0, 1.3, 1.0),
+        ("rests", 1.5, 10.0, 0.0),
+        ("hardly moves", 1.5, 10.0, 0.2),
+        ("is carried along", 1.5, 0.0, 1.0),
+    ):
+        wave = 2 * np.pi * hertz * 0.001 * np.cos(2 * np.pi * hertz * t)[:, None] * np.array([0.0, 0.6, 0.8])
+        felt, moved = wave * mm, wave * own * (mm or 10.0)
+        filtered, counted = np.zeros((2, 3)), 0
+        for now in zip(felt @ frame.T, moved, strict=True):
+            filtered += (1 - np.exp(-DT / 0.1)) * (np.array(now) - filtered)
+            counted += 0.03 <= np.linalg.norm(filtered, axis=1).min() <= 0.3
+        row = repeated(s, len(t)) | {"tool_vel_forearm": felt, "tool_vel": moved}
+        seconds[name] = float(play(env, row, state).scratch_seconds)
+        assert seconds[name] == pytest.approx(counted * DT, abs=1e-4)
+    assert seconds.pop("strokes") > 1.0 and not any(seconds.values())
 
 
 def test_itches_are_uniform_over_all_of_the_skin_between_shoulder_and_wrist():
@@ -402,7 +430,7 @@ def test_the_robot_starts_beside_the_arm_with_its_hook_turned_to_it():
 # -- feeding ---------------------------------------------------------------------------------------
 
 
-def spoon(s, bearing=0.0, up=(0, 0, 1.0), tip=None, distance=0.036, speed=0.05):
+def spoon(s, bearing=0.0, up=(0, 0, 1.0), tip=None, distance=0.036, speed=0.05, force=1.0):
     """A spoon at the mouth, its tip at its centre, coming from `bearing` rad around the vertical."""
     face = np.asarray(scenes.geometry.matrix(jnp.asarray(s["mouth_quat"][0])), float)
     c, sn = np.cos(bearing), np.sin(bearing)
@@ -413,7 +441,7 @@ def spoon(s, bearing=0.0, up=(0, 0, 1.0), tip=None, distance=0.036, speed=0.05):
     mujoco.mju_mat2Quat(quat, np.stack([-up, np.cross(tip, -up), tip], axis=1).ravel())
     return s | {
         "tool_quat": quat[None], "tool_pos": s["mouth_pos"] - distance * tip, "tool_vel": np.zeros((1, 3)),
-        "tool_vel_head": np.array([[speed, 0, 0.0]]),
+        "tool_vel_head": np.array([[speed, 0, 0.0]]), "tool_force_head": np.array([[-force, 0, 0.0]]),
     }  # fmt: skip
 
 
@@ -423,21 +451,22 @@ def test_a_spoon_feeds_from_the_front_with_its_tip_in_and_its_food_up():
     def fed(*args, **kwargs):
         return bool(env.task.success(play(env, repeated(spoon(s, *args, **kwargs), 63))))
 
-    assert fed() and fed(bearing=0.9) and fed(up=(0, 0.7, 1.0))
+    assert fed() and fed(bearing=0.9) and fed(up=(0.7, 0, 1.0))
     assert not fed(bearing=1.2)  # from the side
     assert not fed(up=(0, 0, -1.0))  # upside down
     assert not fed(tip=(0, 0, 1.0), up=(0, 1.0, 0))  # from below
     assert not fed(speed=0.15) and not fed(distance=0.07)
+    assert fed(force=0.11) and not fed(force=0.09)  # before the lips
 
 
 @pytest.mark.parametrize(
     ("left", "up", "versions"),
-    [(0.0, 0.008, (1, 2)), (0.0, -0.008, (1, 2)), (-0.018, 0.0, (1, 2)), (0.0, -0.021, (1,)), (0.0, 0.012, (1,)),
+    [(0.0, 0.008, (1, 2, 3)), (0.0, -0.008, (1, 2, 3)), (-0.018, 0.0, (1, 2, 3)), (0.0, -0.021, (1,)), (0.0, 0.012, (1,)),
      (0.022, 0.0, (1,)), (0.0, -0.032, ())],
 )  # fmt: skip
 def test_a_spoon_feeds_at_the_lips_and_not_at_chin_nose_or_cheek(left, up, versions):
     """A level spoon with its tip at the face, off the middle of the mouth by so many m as the person sees it."""
-    for version in (1, 2):
+    for version in (1, 2, 3):
         env, s = at_rest(f"feeding-v{version}")
         face = np.asarray(scenes.geometry.matrix(jnp.asarray(s["mouth_quat"][0])), float)
         held = spoon(s)
@@ -451,10 +480,10 @@ def test_food_falls_by_gravity_as_the_bowl_feels_it():
     rng, lost = np.random.default_rng(0), []
     for case in range(12):
         n, t = 60, np.arange(60) * DT
-        amplitude, hertz, tilt = rng.uniform(0, 0.12), rng.uniform(1, 6), rng.uniform(0, 0.9)
+        amplitude, hertz, tilt = rng.uniform(0, 0.04), rng.uniform(1, 6), rng.uniform(0, 0.9)
         velocity = np.zeros((n, 3))
         velocity[:, 0] = amplitude * 2 * np.pi * hertz * np.sin(2 * np.pi * hertz * t)
-        row = spoon(s, up=(0, np.sin(tilt), np.cos(tilt)), distance=0.3)
+        row = spoon(s, up=(np.sin(tilt), 0, np.cos(tilt)), distance=0.3)
         up = -np.asarray(scenes.geometry.matrix(jnp.asarray(row["tool_quat"][0])), float)[:, 0]
         a, before, tipped, spilled = np.zeros(3), np.zeros(3), 0, False
         for v in velocity:
@@ -467,8 +496,9 @@ def test_food_falls_by_gravity_as_the_bowl_feels_it():
         assert bool(got.spilled) == spilled, case
         lost.append(spilled)
     assert 2 < sum(lost) < 10
-    once = repeated(spoon(s, up=(0, 1.0, 0.5)), 1)  # over 60° at the mouth, where it may
-    assert not play(env, once).spilled
+    for version, where, steps, spills in ((2, 0.07, 188, False), (3, 0.07, 12, False), (3, 0.07, 13, True)):
+        former, s = at_rest(f"feeding-v{version}")  # over 60° before the mouth
+        assert play(former, repeated(spoon(s, up=(1.0, 0, 0.5), distance=where), steps)).spilled == spills
     assert play(env, repeated(spoon(s, up=(0, 0, -1.0)), 1)).spilled  # turned over anywhere
     fed = play(env, repeated(spoon(s), 63))
     assert env.task.success(play(env, repeated(spoon(s, up=(0, 0, -1.0)), 5), fed))  # it is eaten
@@ -497,6 +527,7 @@ def test_shaking_head_and_brush_together_brushes_nothing():
             velocity[robot] = np.linalg.pinv(jac[:, robot]) @ np.cross(spin, tip - body.xpos)
         rows.append(velocity)
     force = {"tool_force": np.array([0, 1.0, 0]), "tool_force_head": np.array([0, 1.0, 0])}
+    env = env_of("tooth_brushing-v1")  # in version 2 the brush itself would have to move in the second case, too
     s = sensors(env, [qpos, qpos], rows, force)
     assert np.linalg.norm(s["tool_vel"][0]) > 0.03 and np.linalg.norm(s["tool_vel_head"][0]) < 1e-9
     face = np.asarray(scenes.geometry.matrix(jnp.asarray(s["mouth_quat"][0])), float)
@@ -509,3 +540,32 @@ def test_shaking_head_and_brush_together_brushes_nothing():
     back = np.empty(4)
     mujoco.mju_mat2Quat(back, (face * [-1, -1, 1]).ravel())  # bristles away from the face
     assert play(env, {name: x[1:] for name, x in s.items()} | {"tool_quat": back[None]}).brush_seconds == 0
+
+
+@pytest.mark.parametrize(
+    ("aside", "above", "own", "versions"),
+    [(0.0, 0.0, 0.1, (1, 2)), (0.02, -0.01, 0.1, (1, 2)), (0.0, 0.0, 0.02, (1,)), (0.0, 0.0, 0.0, (1,)),
+     (0.03, 0.0, 0.1, (1,)), (-0.03, 0.0, 0.1, (1,)), (0.0, 0.02, 0.1, (1,)), (0.0, -0.02, 0.1, (1,)),
+     (0.0, 0.06, 0.1, ())],
+)  # fmt: skip
+def test_a_brush_brushes_the_teeth_and_by_its_own_strokes(aside, above, own, versions):
+    """Off the middle of the mouth by so many m; on it the bristles move by 0.1 m/s, in the room by `own`."""
+    for version in (1, 2):
+        env, s = at_rest(f"tooth_brushing-v{version}")
+        face = np.asarray(scenes.geometry.matrix(jnp.asarray(s["mouth_quat"][0])), float)
+        s["tool_quat"] = s["mouth_quat"]
+        s["tool_pos"] = s["mouth_pos"] + aside * face[:, 1] + above * face[:, 2]
+        s |= {"tool_force_head": np.array([[-1.0, 0, 0]]), "tool_vel_head": np.array([[0.4, 0, 0.1]])}  # and presses
+        s["tool_vel"] = (0.4 * face[:, 0] + own * face[:, 1])[None]
+        if version == 1:
+            s["tool_vel_head"] = np.array([[0.0, 0.07, 0.07]])
+        assert bool(play(env, s).brush_seconds > 0) == (version in versions)
+
+
+def test_an_arm_must_be_at_the_waist_at_the_end():
+    for version, stays, succeeds in ((1, True, True), (1, False, True), (2, True, True), (2, False, False)):
+        env, s = at_rest(f"arm_assist-v{version}")
+        s["wrist_target_vel"] = np.zeros((1, 3))
+        there = s | {"wrist_target_pos": s["waist_target_pos"] + [0, 0.05, 0]}
+        state = play(env, repeated(there, 70))
+        assert bool(env.task.success(play(env, repeated(there if stays else s, 10), state))) == succeeds

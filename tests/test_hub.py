@@ -43,7 +43,7 @@ def folder(tmp_path):
     for seed, words in enumerate(("none", "tremor", "weakness")):
         weights = {"layers": [{"w": np.full((3, 2), seed + 0.5, np.float32)}]}
         params = {"actor": weights, "normalizer": init_stats(3)}
-        row = {"task": "feeding-v2", "algorithm": "ippo", "seed": seed, "steps": 64, "robot": True}
+        row = {"task": "feeding-v3", "algorithm": "ippo", "seed": seed, "steps": 64, "robot": True}
         row |= {"person": {"disability": words, "preference": "none"}, "mean_return": 1.0, "safe_success_rate": 0.5}
         teams.append((row, {"human": Player.of(Actor("tanh", True, True), params)}))
     population = Population.of_teams(teams)
@@ -63,7 +63,7 @@ def test_what_is_pulled_is_what_was_pushed(server, folder, tmp_path):
     assert sorted(server.at(NAME, "main")[1]) == sorted(
         {".gitattributes", "README.md", *contents(folder)} - {"runs/large"}
     )
-    assert server.at(NAME, commit)[1]["README.md"].startswith(b"---\npretty_name: People for feeding-v2")
+    assert server.at(NAME, commit)[1]["README.md"].startswith(b"---\npretty_name: People for feeding-v3")
     assert b"| tremor | 1 |" in server.at(NAME, commit)[1]["README.md"]
     pulled = hub.pull(NAME, tmp_path / "pulled")
     assert pulled.ids == Population.load(folder).ids
@@ -75,7 +75,7 @@ def test_a_population_is_loaded_by_its_name_there(server, folder, tmp_path, monk
     hub.push(folder, NAME)
     assert Population.load(NAME).rows == Population.load(folder).rows
     assert splits.named(f"{NAME}:random/test")[1].ids == splits.named(f"{folder}:random/test")[1].ids
-    assert assistax("population", "verify", NAME).stdout == "3 members of feeding-v2, all as they were saved\n"
+    assert assistax("population", "verify", NAME).stdout == "3 members of feeding-v3, all as they were saved\n"
     hub.push(Path(NAME), "somebody/copy")
     assert server.at("somebody/copy", "main")[1].keys() == server.at(NAME, "main")[1].keys()
     with pytest.raises(UsageError, match=r"^else/people is no folder here\. There is no else/people on the Hub"):

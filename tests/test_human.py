@@ -421,7 +421,7 @@ def test_a_share_of_the_action_is_random():
     actions = {"robot": jnp.zeros(7)}
     found = {}
     for share in (0.0, 0.25, 1.0):
-        env = assistax.make("scratch-v2", human={"random_share": share})
+        env = assistax.make("scratch-v3", human={"random_share": share})
         _, state = env.reset(jax.random.key(3))
         actions["human"] = jnp.linspace(-2.0, 1.0, env.action_sizes["human"])
         found[share] = np.asarray(env.motors.wandering(actions, state.phase, state.t * env.dt)["human"])
@@ -435,7 +435,7 @@ def test_a_share_of_the_action_is_random():
 
 def test_a_person_stays_for_as_many_episodes_as_asked_for():
     listed = [{"disability": f"motion={m} strength=0.5", "preference": "default"} for m in (0.3, 0.5, 0.7, 0.9)]
-    env = assistax.make("scratch-v2", episode_length=2, human={"people": listed, "redraw_every": 3})
+    env = assistax.make("scratch-v3", episode_length=2, human={"people": listed, "redraw_every": 3})
     keys = jax.random.split(jax.random.key(0), 12)
     _, state = jax.vmap(env.reset)(keys)
     still = {agent: jnp.zeros((12, size)) for agent, size in env.action_sizes.items()}

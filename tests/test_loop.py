@@ -51,7 +51,7 @@ def test_results_without_a_checkpoint_are_not_overwritten(tmp_path):
 def test_settings_that_were_changed_since_the_checkpoint_are_refused(tmp_path):
     run = stored_run(tmp_path / "run", small(steps=640))
     path = run.newest_checkpoint()
-    metadata = {"task": "scratch-v2", "algorithm": "ippo", "steps": 64, "seconds": {}}
+    metadata = {"task": "scratch-v3", "algorithm": "ippo", "steps": 64, "seconds": {}}
     save_checkpoint(path, {}, metadata | {"settings": loop._settings(run)})
     stored = json.loads((run.folder / "config.json").read_text())
     for change in ({"num_steps": 16}, {"learning_rate": 0.5}):

@@ -109,8 +109,8 @@ def test_a_sweep_keeps_its_partner(tmp_path):
 def test_a_partner_of_another_task_is_refused(tmp_path, make):
     """The person of scratch observes and does as much as that of bed bath."""
     there = make(tmp_path / "there")
-    for task in ("bed_bath-v1", "feeding-v2", "scratch-v1"):
-        said = f"is of scratch-v2 and cannot play the human in {task}; name the task scratch-v2"
+    for task in ("bed_bath-v1", "feeding-v3", "scratch-v1"):
+        said = f"is of scratch-v3 and cannot play the human in {task}; name the task scratch-v3"
         with pytest.raises(UsageError, match=said) as error:
             Run.create(small(task, partners=(f"human={there}",)), tmp_path / "run")
         assert "\n" not in str(error.value) and not (tmp_path / "run").exists()
@@ -149,7 +149,7 @@ def test_ones_own_player_trains_and_resumes_where_it_is_given(tmp_path):
 
 
 def test_a_memory_is_kept_for_as_long_as_the_partner_stays():
-    env = assistax.make("scratch-v2", episode_length=3, human={"redraw_every": 2})
+    env = assistax.make("scratch-v3", episode_length=3, human={"redraw_every": 2})
     settings = PPOConfig(num_steps=12, num_minibatches=1, update_epochs=1, hidden=(4,), recurrent=True, stagger=False)
     still = Player(Still(env.action_sizes["human"]), jax.numpy.zeros((5, 1)), 5)
     ppo = PPO(env, settings, 4, 2, {"human": still})
@@ -159,7 +159,7 @@ def test_a_memory_is_kept_for_as_long_as_the_partner_stays():
 
 
 def test_a_partner_stays_in_the_adapters_too():
-    env = assistax.make("scratch-v2", episode_length=2, human={"redraw_every": 3})
+    env = assistax.make("scratch-v3", episode_length=2, human={"redraw_every": 3})
     batch, size = Batch(env), env.action_sizes["human"]
     people = {"human": Player(Still(size), jax.numpy.zeros((50, 1)), 50)}
     _, state = batch.reset(people, jax.random.split(jax.random.key(0), 4))

@@ -513,11 +513,11 @@ def test_the_command_gathers_finished_runs(tmp_path, monkeypatch):
         gather([run])
     assert loop.train(run)
     pop = tmp_path / "pop"
-    assert "2 members of scratch-v2" in assistax_command("population", "make", pop, tmp_path / "run").stdout
+    assert "2 members of scratch-v3" in assistax_command("population", "make", pop, tmp_path / "run").stdout
     listed = assistax_command("population", "show", pop, "--out", tmp_path / "who.png").stdout
     assert (tmp_path / "who.png").stat().st_size > 5000
     assert listed.count("tremor") == 2 and "seed 1" in listed and "safely" in listed.splitlines()[0]
-    assert assistax_command("population", "verify", pop).stdout == "2 members of scratch-v2, all as they were saved\n"
+    assert assistax_command("population", "verify", pop).stdout == "2 members of scratch-v3, all as they were saved\n"
     own, stored = run.teams()[1]["human"], Population.load(pop).partner("human", deterministic=True)
     obs = jax.random.normal(jax.random.key(9), (run.env.observation_sizes["human"],))
     args = own.policy.initial_carry(), obs, jnp.bool_(True), jax.random.key(0)

@@ -23,12 +23,12 @@ def there(tmp_path_factory) -> Path:
     """A run that has learned for two iterations."""
     settings = LIMITED | {"ppo.teachers": ("robot=expert", "human=offers_second_way"), "ppo.initial_log_std": -1.0}
     settings |= {"ppo.final_log_std": -3.0, "ppo.exploration_steps": 256}
-    run = Run.create(small("scratch-v2", settings, steps=128), tmp_path_factory.mktemp("start") / "there")
+    run = Run.create(small("scratch-v3", settings, steps=128), tmp_path_factory.mktemp("start") / "there")
     train_without_pictures(run)
     return run.folder
 
 
-def like(there: Path, folder: Path, task="scratch-v2", **settings) -> Run:
+def like(there: Path, folder: Path, task="scratch-v3", **settings) -> Run:
     return Run.create(small(task, LIMITED | settings, steps=64, start=str(there)), folder)
 
 
@@ -77,7 +77,7 @@ def test_the_first_iteration_learns_with_the_numbers_that_it_was_played_with(the
 
 
 def test_a_robot_alone_may_begin_with_that_of_a_team(there, tmp_path):
-    config = small("scratch-v2", LIMITED, steps=64, start=str(there), partners=("human=still",))
+    config = small("scratch-v3", LIMITED, steps=64, start=str(there), partners=("human=still",))
     run = Run.create(config, tmp_path / "run")
     state = fresh(run)
     assert equal(state.params["robot"], learned(Run.open(there)).params["robot"]) and set(state.params) == {"robot"}
@@ -87,7 +87,7 @@ def test_whom_a_run_began_with_it_has_met(there, tmp_path):
     people = gather([Run.open(there)])
 
     def robot(name, start=""):
-        config = small("scratch-v2", LIMITED, steps=64, start=str(start), partners=("human=still",))
+        config = small("scratch-v3", LIMITED, steps=64, start=str(start), partners=("human=still",))
         run = Run.create(config, tmp_path / name)
         train_without_pictures(run)
         return run
@@ -100,7 +100,7 @@ def test_whom_a_run_began_with_it_has_met(there, tmp_path):
 @pytest.mark.parametrize(
     ("settings", "said"),
     [
-        ({"task": "feeding-v2"}, r"is of the task scratch-v2, not feeding-v2"),
+        ({"task": "feeding-v3"}, r"is of the task scratch-v3, not feeding-v3"),
         ({"ppo.hidden": (8, 4)}, r"does not fit this configuration: \.params.* is \(1, .*\), not \(1, .*\)"),
     ],
 )
@@ -111,8 +111,8 @@ def test_what_cannot_be_begun_with_is_refused_and_nothing_is_written(there, tmp_
 
 
 def test_runs_of_several_seeds_or_none_are_refused(there, tmp_path):
-    two = stored_run(tmp_path / "two", small("scratch-v2", num_seeds=2)).folder
-    empty = Run.create(small("scratch-v2"), tmp_path / "empty").folder
+    two = stored_run(tmp_path / "two", small("scratch-v3", num_seeds=2)).folder
+    empty = Run.create(small("scratch-v3"), tmp_path / "empty").folder
     for start, said in (
         (two, "is of 2 seeds; begin with a run of one"),
         (empty, "has no checkpoint to begin with"),

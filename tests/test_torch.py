@@ -16,7 +16,7 @@ LENGTH, NUM_ENVS = 6, 8
 
 @pytest.fixture(scope="module")
 def env():
-    return batch_of("scratch-v2", "mujoco", {"episode_length": LENGTH}).env
+    return batch_of("scratch-v3", "mujoco", {"episode_length": LENGTH}).env
 
 
 def actions(size, i):

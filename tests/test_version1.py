@@ -129,7 +129,7 @@ def test_brakes_do_not_throw_a_joint_that_ran_into_its_stop():
 
 
 def test_an_engine_that_gets_the_brakes_wrong_is_refused():
-    with pytest.raises(UsageError, match="mjx engine cannot keep scratch-v2 to its joint speeds"):
+    with pytest.raises(UsageError, match="mjx engine cannot keep scratch-v3 to its joint speeds"):
         assistax.make("scratch", engine="mjx")
 
 

@@ -240,7 +240,7 @@ def test_in_a_real_browser(what, tmp_path):
     program = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if program is None:
         pytest.skip("no browser here")
-    env = assistax.make("scratch-v2", engine="mujoco", episode_length=500)
+    env = assistax.make("scratch-v3", engine="mujoco", episode_length=500)
     team = scripted_team("expert", env)
     wrong, pictures = [], []
     graphics = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]

@@ -1,6 +1,6 @@
 """The environment in the terms of other packages: a file for each, which needs nothing that it does not name.
 
-import assistax.adapters.gymnasium  # gym.make("assistax/scratch-v2"), with pip install 'assistax[gymnasium]'
+import assistax.adapters.gymnasium  # gym.make("assistax/scratch-v3"), with pip install 'assistax[gymnasium]'
 """
 
 from assistax.errors import UsageError

@@ -6,7 +6,7 @@ from benchmarl.models.mlp import MlpConfig
 from assistax.adapters.benchmarl import AssistaxTask
 
 Experiment(
-    AssistaxTask("scratch-v2"),
+    AssistaxTask("scratch-v3"),
     MappoConfig.get_from_yaml(),
     MlpConfig.get_from_yaml(),
     seed=0,
@@ -35,7 +35,7 @@ class AssistaxTask(TaskClass):
     """Both agents, each a group of its own; as many environments as BenchMARL asks for, stepped in one compiled call.
 
     Args:
-      task: its id, for example "scratch-v2".
+      task: its id, for example "scratch-v3".
       engine: as in `assistax.make`.
       **settings: as in `assistax.make`, for example `episode_length=500`.
 

@@ -3,7 +3,7 @@
 from brax.training.agents.ppo import train as ppo
 from assistax.adapters.brax import AgentEnv, wrap
 
-env = AgentEnv("scratch-v2", partner="still")
+env = AgentEnv("scratch-v3", partner="still")
 ppo.train(env, wrap_env_fn=wrap, episode_length=env.episode_length, num_timesteps=1_000_000, num_envs=1024)
 """
 
@@ -39,7 +39,7 @@ class AgentEnv(BraxEnv):
     losses tell.
 
     Args:
-      task: its id, for example "scratch-v2", or an Env.
+      task: its id, for example "scratch-v3", or an Env.
       agent: "robot", "human", or "both": one agent that observes what either of them does and acts with the
         robot's actions followed by the human's.
       partner: who plays the other one: "still", "random", "trained", a team file, a run folder, ..., see

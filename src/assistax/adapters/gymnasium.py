@@ -1,13 +1,13 @@
 """One agent in Gymnasium, beside a frozen partner.
 
 Importing this file registers every task; Gymnasium 1.0 and later find no environments by themselves, but import what
-stands before a colon: gym.make("assistax.adapters.gymnasium:assistax/scratch-v2").
+stands before a colon: gym.make("assistax.adapters.gymnasium:assistax/scratch-v3").
 
     import gymnasium as gym
     import assistax.adapters.gymnasium
 
-    env = gym.make("assistax/scratch-v2", partner="still")
-    envs = gym.make_vec("assistax/scratch-v2", num_envs=256, partner="still")
+    env = gym.make("assistax/scratch-v3", partner="still")
+    envs = gym.make_vec("assistax/scratch-v3", num_envs=256, partner="still")
 """
 
 from collections.abc import Sequence
@@ -53,7 +53,7 @@ class AgentEnv(gym.Env[np.ndarray, np.ndarray]):
     Stable-Baselines3 looks for it), and of this step "reward_terms", "robot_force" (N) and "cost"; see `Env.step`.
 
     Args:
-      task: its id, for example "scratch-v2", or an Env.
+      task: its id, for example "scratch-v3", or an Env.
       agent: "robot" or "human".
       partner: who plays the other one: "still", "random", "trained", a team file, a run folder, ..., see
         `training.partners.find_partner`; or a `Population` or `Player`.

@@ -3,7 +3,7 @@
 import jaxmarl
 from assistax.adapters.jaxmarl import MultiAgent
 
-env = MultiAgent("scratch-v2")
+env = MultiAgent("scratch-v3")
 jaxmarl.make = MultiAgent  # for JaxMARL's own scripts, which make their environment by name
 """
 
@@ -25,7 +25,7 @@ class MultiAgent:
     the task, but `info["terminated"]` and `info["truncated"]` do.
 
     Args:
-      task: its id, for example "scratch-v2", or an Env.
+      task: its id, for example "scratch-v3", or an Env.
       engine: as in `assistax.make`.
       same_sizes: whether both agents observe and act with as many numbers, as scripts want that share one network;
         else each has its own. Observations are filled up with zeros, after which comes a one for the agent's own place

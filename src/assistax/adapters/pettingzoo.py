@@ -2,7 +2,7 @@
 
 from assistax.adapters.pettingzoo import parallel_env
 
-env = parallel_env("scratch-v2")
+env = parallel_env("scratch-v3")
 """
 
 from typing import Any
@@ -32,7 +32,7 @@ class parallel_env(ParallelEnv):
     "robot_force" (N) and "cost"; see `Env.step`. `state()` is what a centralised critic may see.
 
     Args:
-      task: its id, for example "scratch-v2", or an Env.
+      task: its id, for example "scratch-v3", or an Env.
       engine: as in `assistax.make`.
       render_mode: None or "rgb_array".
       **settings: as in `assistax.make`, for example `episode_length=500`.

@@ -2,7 +2,7 @@
 
 from assistax.adapters.torch import TorchEnv
 
-env = TorchEnv("scratch-v2", num_envs=1024)
+env = TorchEnv("scratch-v3", num_envs=1024)
 obs = env.reset(seed=0)
 obs, reward, terminated, truncated, info = env.step(actions)
 """
@@ -48,7 +48,7 @@ class TorchEnv:
     "final_observation", true also where `obs` begins the next episode.
 
     Args:
-      task: its id, for example "scratch-v2", or an Env.
+      task: its id, for example "scratch-v3", or an Env.
       num_envs: environments side by side.
       agent: "robot", "human", or "both": observations and actions are dicts of tensors by agent then.
       partner: who plays the other one: "still", "random", "trained", a team file, a run folder, ..., see

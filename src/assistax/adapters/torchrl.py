@@ -2,7 +2,7 @@
 
 from assistax.adapters.torchrl import TorchRLEnv
 
-env = TorchRLEnv("scratch-v2", num_envs=1024)
+env = TorchRLEnv("scratch-v3", num_envs=1024)
 env.rollout(100, break_when_any_done=False)
 """
 
