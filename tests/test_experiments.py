@@ -121,20 +121,20 @@ def test_names_are_unique_and_chosen_by_pattern():
 
 def test_the_list_begins_with_five_seeds_of_every_task():
     names = [e.name for e in experiments()]
-    assert names[0] == "version2/scratch-ippo-default-4M-0"
-    assert all(name.startswith(("version1/", "version2/")) and "-ippo-default-" in name for name in names[:25])
+    assert names[0] == "version3/scratch-ippo-default-4M-0"
+    assert all(name.startswith(("version2/", "version3/")) and "-ippo-default-" in name for name in names[:25])
     assert sum("scratch" in name and "-4M-" in name for name in names[:25]) == 5
     assert sum("bed_bath" in name and "-6M-" in name for name in names[:25]) == 5
     assert sum("-2M-" in name for name in names[:25]) == 15
     assert {name[-1] for name in names[:25]} == set("01234")
     for pattern, count in {
-        "-still-": 15 + 4,  # of version 1 what was measured before there was a version 2
+        "-still-": 15 + 5,  # and of former versions what was measured of them
         "-keeps_still-": 2 + 1,
         "-preferences-10M-": 3 + 20,
-        "-preferences-4M-": 9 + 3,
-        "version2/scratch-ippo-default-preferences-8M-": 3,
-        "version2/feeding-ippo-default-tremor-": 1,
-        "-untaught-4M-": 9 + 3,
+        "-preferences-4M-": 9 + 6,
+        "version3/scratch-ippo-default-preferences-8M-": 3,
+        "version3/feeding-ippo-default-tremor-": 1,
+        "-untaught-4M-": 9 + 8,
     }.items():
         assert len([name for name in names if pattern in name]) == count, pattern
 
@@ -185,7 +185,7 @@ def test_robots_of_feeding_learn_with_and_without_the_preferences(asked, tmp_pat
 
 
 def test_a_person_who_does_nothing_is_a_frozen_partner(asked, tmp_path):
-    for pattern in ("version2/feeding-ippo-default-still-2M-0", "feeding-ippo-default-tremor+weakness-10M-0"):
+    for pattern in ("version3/feeding-ippo-default-still-2M-0", "feeding-ippo-default-tremor+weakness-10M-0"):
         (experiment,) = [e for e in experiments() if e.name == pattern]
         assert experiment.advance(tmp_path / "none", 1.0) is None
     still, trembling = asked

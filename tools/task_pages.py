@@ -61,6 +61,7 @@ SCENE_FIELDS = {
     "start": "joint angles at which the robot starts, rad",
     "worked_on": "body parts that see the tool's speed and force",
     "regions": "harm is measured by region of the body",
+    "throat": "the robot touches the throat, and does not go through it",
     "speed_limits": "joints keep to their speed limits",
     "supported": "furniture holds arms that are not driven",
 }

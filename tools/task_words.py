@@ -69,11 +69,12 @@ TASKS = {
         "d: distance from the tool point to the itch (m); a: length of the arc around the segment from the side that "
         "the tool point is on to that of the itch (m); σ = {r.SIGMA:g} m²; "
         "v: speed of the tool point as the "
-        "segment with the itch sees it (m/s); f: force of the tool on that segment (N); {B}",
+        "segment with the itch sees it, or its own in the room, whichever is less, both velocities low-pass filtered "
+        "over {c.stroke_seconds:g} s (m/s); f: force of the tool on that segment (N); {B}",
         "the tool point is within {c.scratch_distance:g} m of the itch and the tool touches the segment (upper arm "
         "or forearm) that the itch is on",
         "{c.success_seconds:g} s in all in which it helps, with {c.scratch_force[0]:g} to {c.scratch_force[1]:g} N "
-        "on that segment and {c.scratch_speed[0]:g} to {c.scratch_speed[1]:g} m/s (`scratch_seconds`)",
+        "on that segment and a v of {c.scratch_speed[0]:g} to {c.scratch_speed[1]:g} m/s (`scratch_seconds`)",
         "The task itself never ends an episode.",
         "The itch: upper arm or forearm, each as likely as it has skin; a place along the segment between "
         "{c.height[0]:g} and {c.height[1]:g} half-lengths from its middle, and an angle of up to {deg[angle]}° to "
@@ -85,7 +86,9 @@ TASKS = {
         "the person: also on the other side of the arm.",
         ("upper_arm", "forearm", "hand", "trunk", "thigh"),
         "`scratch-v1` counts within 4 cm of the itch: nearly all itches are so near to what the stick touches while "
-        "the arm rests. Its robot sees no clock, and its forearm itches all around.",
+        "the arm rests. Its robot sees no clock, and its forearm itches all around. In `scratch-v2`, too, v is what "
+        "the segment sees at that moment: a stick that trembles by 1.3 mm scratches, and one at rest on an arm that "
+        "moves.",
     ),
     "bed_bath": Words(
         "The person lies in bed and one side of the right arm is dirty. The robot holds a pad and washes it; the "
@@ -168,11 +171,12 @@ TASKS = {
         "the middle of the forearm is within {c.waist_distance:g} m of the waist target, having been carried there "
         "below {c.carrying_speed:g} m/s since it last lay still elsewhere",
         "{c.success_seconds:g} s in all in which it helps and the forearm is slower than {c.settled_speed:g} m/s "
-        "(`seconds_at_waist`)",
+        "(`seconds_at_waist`), and the forearm is within {c.waist_distance:g} m of the waist target at the end",
         "The task itself never ends an episode.",
         JOINTS_ONLY.format(what="both targets are fixed to the person's body"),
         "Speed does not matter: a forearm that swings through the waist or is thrown there counts and is paid in full.",
         ("upper_arm", "forearm", "hand", "trunk", "thigh"),
+        "In `arm_assist-v1` an arm that lay at the waist and falls out of bed again is a success.",
     ),
     "feeding": Words(
         "The person sits in a wheelchair. The robot holds a spoon with food and brings it to the mouth, level on the "
@@ -203,10 +207,10 @@ TASKS = {
         "the spoon still has its food and its bowl, from the middle to the tip, is within {c.mouth_distance:g} m of "
         "the middle of the mouth, {c.mouth_width:g} m to either side and {c.mouth_height:g} m up or down, "
         "the bowl in front of the face, its tip pointing in, its upper side up, each within "
-        "{deg[mouth_angle]}°",
+        "{deg[mouth_angle]}°, and the face feels it with {c.mouth_force:g} N or more",
         "{c.success_seconds:g} s in all in which it helps at {c.mouth_speed:g} m/s or less (`mouth_seconds`). The "
         "food falls (`spilled`) when the spoon is tipped by more than {deg[spill_angle]}° for {c.spill_seconds:g} s "
-        "in all, more than {c.spill_distance:g} m away from the mouth, or by {deg[spill_anywhere]}° anywhere. Tipped "
+        "in all, or by {deg[spill_anywhere]}° at once. Tipped "
         "against gravity as the bowl feels it: gravity less the bowl's acceleration, low-pass filtered over "
         "{c.filter_seconds:g} s. What was eaten cannot fall any more",
         "The task itself never ends an episode.",
@@ -218,7 +222,8 @@ TASKS = {
         ("face", "skull", "neck"),
         "`feeding-v1` counts anywhere within 3 cm of the middle of the mouth, so that a spoon against the chin, 2 cm "
         "below it, feeds: trained teams held it there. Its reach term has d instead of b, and the tool point comes "
-        "nearer to the mouth from below than from ahead.",
+        "nearer to the mouth from below than from ahead. In both `feeding-v1` and `feeding-v2` a spoon that touches "
+        "nothing feeds, and within 10 cm of the mouth food falls only by more than 90°.",
     ),
     "tooth_brushing": Words(
         "The person sits in a wheelchair. The robot holds a toothbrush, lays the bristles on the mouth and brushes; "
@@ -244,16 +249,20 @@ TASKS = {
             ),
         },
         "d: distance from the bristles to the middle of the mouth (m); bristle, handle: the directions in which "
-        "these point; inward: the direction into the mouth; up: straight up; v: speed of the tool point as the head "
-        "sees it (m/s), across the line from the bristles to the mouth; f: force of the bristles on the head (N); {B}",
-        "the bristles are within {c.near:g} m of the middle of the mouth and face it within {deg[brush_angle]}°",
+        "these point; inward: the direction into the mouth; up: straight up; v: speed of the tool point along the "
+        "face (m/s), as the head sees it or its own in the room, whichever is less; f: force of the bristles on the head (N); {B}",
+        "the bristles are within {c.near:g} m of the middle of the mouth, {c.mouth_width:g} m to either side and "
+        "{c.mouth_height:g} m up or down, and look into the face within {deg[brush_angle]}°",
         "{c.success_seconds:g} s in all in which it helps, with {c.brush_force[0]:g} to {c.brush_force[1]:g} N and "
-        "{c.brush_speed[0]:g} to {c.brush_speed[1]:g} m/s across (`brush_seconds`)",
+        "a v of {c.brush_speed[0]:g} to {c.brush_speed[1]:g} m/s (`brush_seconds`)",
         "The task itself never ends an episode.",
         JOINTS_ONLY.format(what="the mouth is where the head is"),
         "Speed is that in the room: brush and head that shake together count as brushing. The bristles are to point "
-        "at the middle of the mouth, so that they may lie on a cheek, and brushing adds a quarter of what it does in "
-        "version 1.",
+        "at the middle of the mouth, so that they may lie on a cheek, and brushing adds an eighth of what it does in "
+        "version 2.",
         ("face", "skull", "neck"),
+        "In `tooth_brushing-v1` the bristles may be anywhere within 5 cm of the mouth, also on nose or cheek, v is "
+        "what the head sees across the line from the bristles to the mouth, so that a head that shakes brushes itself "
+        "on a brush at rest, and brushing adds half as much.",
     ),
 }

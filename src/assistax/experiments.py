@@ -43,6 +43,30 @@ PEOPLE: dict[str, dict[str, Any]] = {
     "-preferences": {"env.human.preference": "sweep"},
     **{f"-{name}": {"env.human.disability": name} for name in DISABILITIES},
 }
+_FORMER = (  # task, version, people, seeds, millions of steps
+    ("scratch", 1, "", 5, 6),
+    ("scratch", 1, "-still", 3, 6),
+    ("scratch", 1, "-keeps_still", 1, 6),
+    ("scratch", 1, "-preferences", 3, 10),
+    ("scratch", 2, "", 5, 4),
+    ("scratch", 2, "-preferences", 1, 8),
+    ("bed_bath", 1, "", 5, 6),
+    ("bed_bath", 1, "", 2, 10),
+    ("bed_bath", 1, "-still", 1, 6),
+    ("bed_bath", 1, "-preferences", 3, 6),
+    ("arm_assist", 1, "", 5, 2),
+    ("arm_assist", 1, "-still", 1, 2),
+    ("arm_assist", 1, "-preferences", 3, 4),
+    ("arm_assist", 1, ALONE, 3, 4),
+    ("feeding", 1, "", 5, 2),
+    ("feeding", 1, "-preferences", 3, 2),
+    ("feeding", 1, "-preferences", 3, 4),
+    ("feeding", 1, ALONE, 3, 4),
+    ("feeding", 2, "", 5, 2),
+    ("tooth_brushing", 1, "", 5, 2),
+    ("tooth_brushing", 1, "-preferences", 3, 2),
+    ("tooth_brushing", 1, ALONE, 2, 4),
+)
 WORKERS = "workers"  # folder of their claims and logs, where the work is done
 KEPT = ("config.json", "evaluations.jsonl", "summary.json", "learning_curve.png")  # of a finished run
 PLAYABLE = (*KEPT[:3], "policies.safetensors")  # of a finished robot
@@ -271,23 +295,16 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     for algorithm in ("ippo-rnn", "mappo-rnn"):
         yield from _trainings(algorithm, "default", "", seeds or 2, tasks=some)
     yield from _trainings("masac", "default", "", seeds or 3, tasks=some)
-    yield from _of_version_1(seeds)
+    yield from _of_former_versions(seeds)
     yield from _of_the_paper(seeds or 1)
 
 
-def _of_version_1(seeds: int | None) -> Iterator[Experiment]:
-    """What was measured of it where there is a version 2."""
-    former = partial(_trainings, "ippo", "default", version=1)
-    for people, number in {"": 5, "-still": 3, "-keeps_still": 1}.items():
-        yield from former(people, seeds or number, 6_000_000, tasks=("scratch",))
-    for people, number in {"": 5, "-still": 1, "-preferences": 3}.items():
-        yield from former(people, seeds or number, tasks=("bed_bath",))
-    yield from former("", seeds or 2, STEPS["default"], tasks=("bed_bath",))
-    yield from former("-preferences", seeds or 3, STEPS["default"], tasks=("scratch",))
-    yield from former("", seeds or 5, tasks=("feeding",))
-    yield from former("-preferences", seeds or 3, tasks=("feeding",))
-    yield from former(ALONE, seeds or 3, steps=4_000_000, tasks=("feeding",))
-    yield from _trainings("mappo", "default", "", 1, version=1, tasks=("feeding",))
+def _of_former_versions(seeds: int | None) -> Iterator[Experiment]:
+    """What was measured of versions from 1 on that are no longer the newest, where a seed more says more."""
+    for task, version, people, number, steps in _FORMER:
+        yield from _trainings("ippo", "default", people, seeds or number, steps * 1_000_000, version, (task,))
+    for task in ("feeding", "tooth_brushing"):
+        yield from _trainings("mappo", "default", "", 1, version=1, tasks=(task,))
 
 
 def _of_the_paper(seeds: int) -> Iterator[Experiment]:
