@@ -32,7 +32,7 @@ def test_who_asks_for_no_clock_or_a_version_without_sees_none():
     assert sizes["scratch-v1", 1.5] == sizes["scratch-v3", None] == (42, 44, 60)
 
 
-@pytest.mark.parametrize("clock", [-1.0, float("nan"), "fast", True])
+@pytest.mark.parametrize("clock", [-1.0, float("nan"), "fast", True, 63.0])
 def test_a_clock_runs_at_a_number_of_hz(clock):
     with pytest.raises(UsageError, match="clock must be"):
         assistax.make("scratch-v3", engine="mujoco", clock=clock)

@@ -461,8 +461,8 @@ def test_a_spoon_feeds_from_the_front_with_its_tip_in_and_its_food_up():
 
 @pytest.mark.parametrize(
     ("left", "up", "versions"),
-    [(0.0, 0.008, (1, 2, 3)), (0.0, -0.008, (1, 2, 3)), (-0.018, 0.0, (1, 2, 3)), (0.0, -0.021, (1,)), (0.0, 0.012, (1,)),
-     (0.022, 0.0, (1,)), (0.0, -0.032, ())],
+    [(0.0, 0.008, (1, 2, 3)), (0.0, -0.008, (1, 2, 3)), (-0.018, 0.0, (1, 2, 3)), (0.0, -0.021, (1,)),
+     (0.0, 0.012, (1,)), (0.022, 0.0, (1,)), (0.0, -0.032, ())],
 )  # fmt: skip
 def test_a_spoon_feeds_at_the_lips_and_not_at_chin_nose_or_cheek(left, up, versions):
     """A level spoon with its tip at the face, off the middle of the mouth by so many m as the person sees it."""

@@ -152,3 +152,10 @@ def test_words_in_a_list_are_written_with_commas():
     assert configure("scratch", parse_assignments(["ppo.teachers="])).method.teachers == ()
     with pytest.raises(UsageError, match=r"ppo.hidden must be a list like \(1, 2\), not 'wide'"):
         configure("scratch", {"ppo.hidden": "wide"})
+
+
+def test_a_setting_without_its_group_is_found_in_it():
+    with pytest.raises(UsageError, match=r"Unknown setting 'episode_length'. Did you mean 'env.episode_length'\?"):
+        configure("scratch", {"episode_length": 5})
+    with pytest.raises(UsageError, match=r"Unknown setting 'human'. Did you mean 'env.human.preference'\?"):
+        configure("scratch", {"human.preference": "sweep"})

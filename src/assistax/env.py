@@ -61,6 +61,10 @@ class EnvConfig:
             raise UsageError(f"env.torque_scale must be in (0, 1], not {self.torque_scale}.")
         if self.clock is not None and (isinstance(self.clock, bool) or not isinstance(self.clock, int | float)):
             raise UsageError(f"env.clock must be a number of Hz, or None for the task's own, not {self.clock!r}.")
+        if self.clock and self.clock > (fastest := 250.0 / self.substeps):
+            raise UsageError(
+                f"env.clock must be {fastest:g} Hz or slower, half of the control rate, not {self.clock:g}."
+            )
         choose("control mode", self.control, ["torque", "position"])
 
 

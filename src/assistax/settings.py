@@ -28,6 +28,8 @@ def with_settings(config: T, settings: Mapping[str, Any], also: Iterable[str] = 
     nested: dict[str, dict[str, Any]] = {}
     for name, value in settings.items():
         head, _, rest = name.partition(".")
+        if head not in fields and (longer := _inside(config, head, prefix)):
+            raise UsageError(f"Unknown setting {prefix + head!r}. Did you mean {longer + name.removeprefix(head)!r}?")
         choose("setting", prefix + head, [prefix + n for n in (*fields, *also)])
         inner = getattr(config, fields[head])
         if dataclasses.is_dataclass(inner) and not isinstance(value, type(inner)):
@@ -45,6 +47,18 @@ def with_settings(config: T, settings: Mapping[str, Any], also: Iterable[str] = 
     for head, values in nested.items():
         changes[fields[head]] = with_settings(getattr(config, fields[head]), values, prefix=f"{prefix}{head}.")
     return dataclasses.replace(config, **changes)  # ty: ignore[invalid-argument-type]
+
+
+def _inside(config: Any, name: str, prefix: str) -> str | None:
+    """The full name of the setting called `name` in one of the groups of a configuration."""
+    for field in dataclasses.fields(config):
+        inner = getattr(config, field.name)
+        if dataclasses.is_dataclass(inner):
+            if any(one.name == name for one in dataclasses.fields(inner)):
+                return f"{prefix}{field.name}.{name}"
+            if found := _inside(inner, name, f"{prefix}{field.name}."):
+                return found
+    return None
 
 
 def check_count(name: str, value: int) -> None:

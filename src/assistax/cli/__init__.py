@@ -24,7 +24,7 @@ from assistax.cli.table import table
 from assistax.cli.tasks import tasks
 from assistax.cli.train import train
 from assistax.cli.view import view
-from assistax.errors import AssistaxError, UsageError
+from assistax.errors import AssistaxError, UsageError, choose
 
 DESCRIPTION = "A robot arm and a person, both with policies of their own: train, evaluate, watch."
 COMMANDS = (
@@ -66,6 +66,9 @@ def main() -> None:
     try:
         if twice := [option for option in options if options.count(option) > 1]:
             raise UsageError(f"{twice[0]} is there twice, and one would replace the other; put its values behind one.")
+        words = sys.argv[2:] if group else sys.argv[1:]
+        if words and not words[0].startswith("-"):
+            choose("command", words[0], GROUPS[group][1] if group else (*commands, *GROUPS))
         tyro.extras.subcommand_cli_from_dict(
             GROUPS[group][1] if group else commands,
             prog=f"assistax {group}" if group else "assistax",

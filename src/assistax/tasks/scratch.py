@@ -228,12 +228,14 @@ _NEARER = replace(
     clock=1.5,
 )
 
-# Over so short a time a stick that trembles by 3 mm, or rests while the arm moves, scratches nothing.
+# A stick that trembles by less than 3 mm to either side, or rests while the arm moves, scratches nothing. A slower clock
+# makes for longer strokes, of which less is lost where they turn.
 _BY_STROKES = replace(
     _NEARER,
     version=3,
     scene=replace(_NEARER.scene, throat=True),
     config=replace(_NEARER.config, stroke_seconds=0.1),
+    clock=1.0,
 )
 
 SPECS = (_PAPER, _HELPING, _NEARER, _BY_STROKES)
