@@ -16,7 +16,7 @@ def test_the_robot_sees_sine_and_cosine_of_the_episodes_time_and_the_person_does
     assert "clock" not in env.obs_layout("human")
     whole = env.obs_layout("global")["clock"]
     for t in range(90):
-        angle = 2.0 * np.pi * 1.0 * 0.008 * (t % 40)  # afresh with every episode
+        angle = 2.0 * np.pi * 1.5 * 0.008 * (t % 40)  # afresh with every episode
         np.testing.assert_allclose(obs["robot"][place], [np.sin(angle), np.cos(angle)], atol=1e-5)
         np.testing.assert_array_equal(env.global_obs(state)[whole], obs["robot"][place])
         obs, state, *_ = step(jax.random.key(t), state, {"robot": np.zeros(7), "human": np.zeros(3)})

@@ -228,14 +228,12 @@ _NEARER = replace(
     clock=1.5,
 )
 
-# A stick that trembles by less than 3 mm to either side, or rests while the arm moves, scratches nothing. A slower clock
-# makes for longer strokes, of which less is lost where they turn.
+# A stick that trembles by less than 3 mm to either side, or rests while the arm moves, scratches nothing.
 _BY_STROKES = replace(
     _NEARER,
     version=3,
     scene=replace(_NEARER.scene, throat=True),
     config=replace(_NEARER.config, stroke_seconds=0.1),
-    clock=1.0,
 )
 
 SPECS = (_PAPER, _HELPING, _NEARER, _BY_STROKES)
