@@ -43,6 +43,7 @@ SIDES = 48  # around the arm, on which it may be dirty
 NEAR = np.radians([0.0, -2.5, 2.5])  # a side is washed well if those beside it are
 TOUCHED, BEST = 8, 3  # postures, by side: which are played by what is touched, and again by what was washed
 PLAYED = 14  # postures, at most, in which the robot scratches
+MISSED, SERVED = 4, 0.5  # postures more for those places that none of the usual ones serves so well
 PLAY_STEPS = {"scratch": 800, "bed_bath": 1000}
 ENOUGH = 4.0  # s of scratching; more is not better
 WAYS = {"scratch": 4, "bed_bath": 3}  # of offering; in one more of bed bath the pair succeeds in 53 %
@@ -211,11 +212,28 @@ def played(env, postures, tasks, play_steps):
     return [play(jnp.asarray(posture, jnp.float32)) for posture in postures]
 
 
-def scratched(reach: Reach, postures) -> np.ndarray:
-    """For how much of ENOUGH the robot scratches each cell beside a person in each posture [postures, cells]."""
-    segment, points = jnp.asarray(reach.segment), jnp.asarray(reach.points, jnp.float32)
-    ends = played(reach.env, postures, ScratchState(segment, points, jnp.zeros(len(points))), PLAY_STEPS["scratch"])
+def scratched(reach: Reach, postures, cells=slice(None)) -> np.ndarray:
+    """For how much of ENOUGH the robot scratches these cells beside a person in each posture [postures, cells]."""
+    segment, points = jnp.asarray(reach.segment[cells]), jnp.asarray(reach.points[cells], jnp.float32)
+    count = len(points)
+    start = ScratchState(segment, points, jnp.zeros(count), jnp.zeros((count, 2, 3)))
+    ends = played(reach.env, postures, start, PLAY_STEPS["scratch"])
     return np.array([np.minimum(end.scratch_seconds / ENOUGH, 1.0) for end in ends])
+
+
+def with_missed(reach: Reach, usual, worth, possible, promising):
+    """These postures and what each is worth [postures, cells], and MISSED more, which serve cells that none of them
+    does; they are played on those cells alone, and worth nothing elsewhere."""
+    missed = worth.max(0) < SERVED
+    promising = promising * missed
+    more = possible[choose(promising, 2 * PLAYED)[1:]]
+    theirs = np.zeros((len(more), len(missed)))
+    theirs[:, missed] = scratched(reach, more, missed)
+    gained = np.maximum(theirs - worth.max(0), 0.0)
+    chosen = choose(np.concatenate([np.zeros((1, len(missed))), gained]), MISSED)[1:]
+    picked = [i - 1 for i in chosen]
+    print(f"  {missed.mean():.1%} served badly; with {np.round(more[picked], 2)}: {gained[picked].max(0).mean():.1%} more")
+    return np.concatenate([usual, more[picked]]), np.concatenate([worth, theirs[picked]])
 
 
 def dirt(bath, sides) -> np.ndarray:
@@ -300,7 +318,10 @@ def offers(task: str) -> list[dict]:
     chosen = choose(worth, MORE[task])
     for some in (chosen[:n] for n in range(1, len(chosen) + 1)):
         print(f"  {np.round(postures[some[-1]], 2)}: {worth[some].max(0).mean():.1%}")
-    usual = postures[chosen], worth[chosen], REST_PLAYED[task]
+    usual = postures[chosen], worth[chosen]
+    if task == "scratch":
+        usual = with_missed(reach, *usual, possible, promising)
+    usual = *usual, REST_PLAYED[task]
     return [way(task, *one) for one in (usual, *others(WAYS[task] - 1, postures[chosen], possible, promising))]
 
 

@@ -112,8 +112,8 @@ class OfferItch(Offer):
     def __init__(self, env, speed: float = 1.5):
         super().__init__(env, speed)
         stored = json.loads(OFFERS.read_text())["scratch"]
-        self.ways = len(stored)
-        self._postures = jnp.array([way["postures"] for way in stored])
+        self.ways, most = len(stored), max(len(way["postures"]) for way in stored)
+        self._postures = jnp.array([np.resize(way["postures"], (most, len(self.rest))) for way in stored])
         self._cells = jnp.array([[[[int(i) for i in row] for row in way[part]] for part in SEGMENTS] for way in stored])
 
     def posture(self, carry, state, way):
