@@ -230,9 +230,10 @@ def with_missed(reach: Reach, usual, worth, possible, promising):
     theirs = np.zeros((len(more), len(missed)))
     theirs[:, missed] = scratched(reach, more, missed)
     gained = np.maximum(theirs - worth.max(0), 0.0)
-    chosen = choose(np.concatenate([np.zeros((1, len(missed))), gained]), MISSED)[1:]
-    picked = [i - 1 for i in chosen]
-    print(f"  {missed.mean():.1%} served badly; with {np.round(more[picked], 2)}: {gained[picked].max(0).mean():.1%} more")
+    picked = [i - 1 for i in choose(np.concatenate([np.zeros((1, len(missed))), gained]), MISSED) if i]
+    print(
+        f"  {missed.mean():.1%} served badly; {gained[picked].max(0).mean():.1%} more with {np.round(more[picked], 2)}"
+    )
     return np.concatenate([usual, more[picked]]), np.concatenate([worth, theirs[picked]])
 
 

@@ -196,13 +196,13 @@ seeds; a row with one seed has none. The last columns say when 90 % of the episo
 success, from version 1 on a safe one. Written from `results/` by `python tools/pages.py results`;
 [findings.md](findings.md) tells what these teams do.
 
-## Versions 1 and 2
+## Versions from 1 on
 
 {newest}
 
 {remarks_newest}
 
-![Learning curves of versions 1 and 2](images/learning_curves_helping.png)
+![Learning curves of the versions from 1 on](images/learning_curves_helping.png)
 
 ## Version 0, the paper's
 
@@ -238,7 +238,7 @@ def results(folder: Path, pictures: Path) -> str:
     for name, long in {"learning_curves": False, "learning_curves_long": True}.items():
         shown = [e for e in evaluated if (e.method.steps > SHORT) == long]
         save(learning_curves(shown, references, source="evaluation"), pictures / f"{name}.png")
-    ours = experiments(find_runs([folder / f"version{number}" for number in (1, 2)]))
+    ours = experiments(find_runs(sorted(folder.glob("version[0-9]*"))))
     newest = report(ours, references, compare=False)
     shown = [e for e in ours if all(run.rows("evaluations") for run in e.runs)]
     save(learning_curves(shown, references, source="evaluation"), pictures / "learning_curves_helping.png")

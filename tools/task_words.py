@@ -250,7 +250,8 @@ TASKS = {
         },
         "d: distance from the bristles to the middle of the mouth (m); bristle, handle: the directions in which "
         "these point; inward: the direction into the mouth; up: straight up; v: speed of the tool point along the "
-        "face (m/s), as the head sees it or its own in the room, whichever is less; f: force of the bristles on the head (N); {B}",
+        "face (m/s), as the head sees it or its own in the room, whichever is less; f: force of the "
+        "bristles on the head (N); {B}",
         "the bristles are within {c.near:g} m of the middle of the mouth, {c.mouth_width:g} m to either side and "
         "{c.mouth_height:g} m up or down, and look into the face within {deg[brush_angle]}°",
         "{c.success_seconds:g} s in all in which it helps, with {c.brush_force[0]:g} to {c.brush_force[1]:g} N and "
