@@ -225,7 +225,7 @@ def with_missed(reach: Reach, usual, worth, possible, promising):
     """These postures and what each is worth [postures, cells], and MISSED more, which serve cells that none of them
     does; they are played on those cells alone, and worth nothing elsewhere."""
     missed = worth.max(0) < SERVED
-    promising = promising * missed
+    promising = promising * missed * (np.arange(len(possible)) > 0)[:, None]  # rest is among the usual ones
     more = possible[choose(promising, 2 * PLAYED)[1:]]
     theirs = np.zeros((len(more), len(missed)))
     theirs[:, missed] = scratched(reach, more, missed)
