@@ -11,12 +11,16 @@ LEAST = {"scratch-v0": 1.0, "bed_bath-v0": 0.75, "arm_assist-v0": 1.0, "feeding-
 LEAST |= {
     "scratch-v1": 0.75,
     "scratch-v2": 0.75,
+    "scratch-v3": 0.75,
     "bed_bath-v1": 0.75,
     "bed_bath-v2": 0.75,
     "arm_assist-v1": 1.0,
+    "arm_assist-v2": 1.0,
     "feeding-v1": 1.0,
     "feeding-v2": 1.0,
+    "feeding-v3": 1.0,
     "tooth_brushing-v1": 1.0,
+    "tooth_brushing-v2": 1.0,
 }
 
 
