@@ -100,7 +100,7 @@ def test_what_was_asked_for_is_shown_whatever_the_file_holds_beside_it(tmp_path,
     counted(monkeypatch)
     for task in ("feeding", "scratch"):
         bench(task, seconds=1.0, out=tmp_path / "here.json")
-        assert f"{task}-v2" in capsys.readouterr().out
+        assert f"{task}-v3" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
