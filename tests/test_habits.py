@@ -103,8 +103,8 @@ def test_an_unknown_habit_is_one_line(env):
 
 @pytest.mark.parametrize(("task", "ways"), [("scratch", 4), ("bed_bath", 3), ("feeding", 3), ("tooth_brushing", 2)])
 def test_every_way_of_offering_has_postures_of_its_own(task, ways):
-    """At 256 resets: every way moves the person in three of ten or more, but to brush, where one stays straight; no two
-    ways into the same posture."""
+    """At 256 resets: every way moves the person in three of ten or more, but to brush, where one stays straight; two
+    ways hardly ever into the same posture."""
     env = assistax.make(task, engine="mujoco")
     offering = offer(env)
     _, states = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(4), 256))
@@ -113,4 +113,4 @@ def test_every_way_of_offering_has_postures_of_its_own(task, ways):
     assert offering.ways == ways and (turned.mean(1).min() > 0.3 or task == "tooth_brushing")
     for i, j in combinations(range(ways), 2):
         both = turned[i] & turned[j]
-        assert np.abs(aims[i] - aims[j]).max(-1)[both].min(initial=1.0) > 0.05
+        assert (both & (np.abs(aims[i] - aims[j]).max(-1) < 0.05)).mean() <= 0.05, (i, j)

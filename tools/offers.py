@@ -323,7 +323,7 @@ def offers(task: str) -> list[dict]:
     if task == "scratch":
         usual = with_missed(reach, *usual, possible, promising)
     usual = *usual, REST_PLAYED[task]
-    return [way(task, *one) for one in (usual, *others(WAYS[task] - 1, postures[chosen], possible, promising))]
+    return [way(task, *one) for one in (usual, *others(WAYS[task] - 1, usual[0], possible, promising))]
 
 
 if __name__ == "__main__":
