@@ -18,7 +18,7 @@ from assistax.errors import UsageError
 
 def test_every_task_once_before_any_other_size():
     tasks = newest_tasks()
-    assert tasks[:2] == ["scratch-v3", "bed_bath-v2"] and len(set(tasks)) == len(tasks) >= 5
+    assert tasks[:2] == ["scratch-v3", "bed_bath-v3"] and len(set(tasks)) == len(tasks) >= 5
     wanted = plan(tasks, "auto", (), True, "default")
     assert wanted[: len(tasks)] == [Measurement(task, "mujoco", 1024) for task in tasks]
     assert wanted[len(tasks) : 2 * len(tasks)] == [Measurement(t, "mujoco", None, "default", 1) for t in tasks]

@@ -81,7 +81,7 @@ def test_a_stroke_goes_to_and_fro_without_a_memory(along, speed, way):
     assert way_of_stroke(jnp.float32(along), jnp.float32(speed), half=0.03, turning=0.02) == way
 
 
-@pytest.mark.parametrize("name", ["scratch-v2", "bed_bath-v2"])
+@pytest.mark.parametrize("name", ["scratch", "bed_bath"])
 def test_who_teaches_to_rub_remembers_nothing(name):
     """A learner who sees no memory cannot imitate one."""
     assert expert(assistax.make(name, engine="mujoco")).initial_carry() == ()

@@ -117,6 +117,14 @@ class Seen(Truth):
         return place, unit(frame @ normal), way
 
 
+def stroked(before, now):
+    """Velocities over the skin of some parts and in the room, both low-pass filtered over 0.1 s, and speeds by part: the
+    lesser of that over it and that in the room."""
+    after = before + (1 - np.exp(-DT / 0.1)) * (np.stack(now) - before)
+    *over, room = np.linalg.norm(after, axis=1)
+    return after, np.minimum(over, room)
+
+
 def scratch(env, seen, before):
     near = {"scratch-v1": 0.04, "scratch-v2": 0.02, "scratch-v3": 0.02}[env.name]
     part = ("upper_arm", "forearm")[int(before.segment)]
@@ -125,9 +133,8 @@ def scratch(env, seen, before):
     d, moves, f = np.linalg.norm(vector), seen.tool_velocity(part), seen.tool_force(part)
     strokes = np.asarray(before.strokes, float)
     v = np.linalg.norm(moves)
-    if env.name == "scratch-v3":  # over the skin and in the room, both low-pass filtered over 0.1 s
-        strokes = strokes + (1 - np.exp(-DT / 0.1)) * (np.stack([moves, seen.velocity]) - strokes)
-        v = min(np.linalg.norm(strokes[0]), np.linalg.norm(strokes[1]))
+    if env.name == "scratch-v3":
+        strokes, (v,) = stroked(strokes, [moves, seen.velocity])
     terms = {
         "reach": np.exp(-(way**2) / 0.1),
         "scratch": 16 * (d < near and f > 1e-3) * bump(v / 0.1) * bump(f / 3.0),
@@ -143,13 +150,17 @@ def bed_bath(env, seen, before):
     points = np.concatenate([np.asarray(x, float) for x in env.task.points])
     places, normals, ways = map(np.array, zip(*map(seen.spot, parts, points), strict=True))
     dirty, visited, seconds = (np.asarray(x) for x in (before.dirty, before.visited, before.seconds))
-    force, speed = ({part: of(part) for part in PARTS if part != "head"} for of in (
-        seen.tool_force, lambda part: np.linalg.norm(seen.tool_velocity(part))
-    ))  # fmt: skip
-    rubbed = np.array([0.5 < force[part] <= 15.0 and 0.02 <= speed[part] <= 0.4 for part in parts])
+    arm = ("upper_arm", "forearm")
+    force, moves = ({part: of(part) for part in arm} for of in (seen.tool_force, seen.tool_velocity))
+    strokes, least, long = np.asarray(before.strokes, float), 0.02, 0.08
+    speed = {part: np.linalg.norm(moves[part]) for part in arm}
+    if env.name == "bed_bath-v3":
+        (strokes, speeds), least, long = stroked(strokes, [*moves.values(), seen.velocity]), 0.05, 0.2
+        speed = dict(zip(arm, speeds, strict=True))
+    rubbed = np.array([0.5 < force[part] <= 15.0 and least <= speed[part] <= 0.4 for part in parts])
     rubbed &= np.linalg.norm(places - seen.tool, axis=1) < 0.05
     seconds = seconds + DT * rubbed
-    newly = rubbed & (seconds > 0.08 - DT / 2) & ~visited
+    newly = rubbed & (seconds > long - DT / 2) & ~visited
     visited = visited | newly
     robot = np.array(env.spec.scene.robot_pos)
     level = (robot - places) * [1, 1, 0]
@@ -166,8 +177,8 @@ def bed_bath(env, seen, before):
     return (
         blocks,
         terms,
-        {"visited": visited, "seconds": seconds},
-        (dirt_goes, np.linalg.norm(seen.tool_velocity(nearest))),
+        {"visited": visited, "seconds": seconds, "strokes": strokes},
+        (dirt_goes, speed[nearest]),
     )
 
 
@@ -287,7 +298,7 @@ def said_of_harm(after, info):
 
 TASKS = {f.__name__: f for f in (scratch, bed_bath, arm_assist, feeding, tooth_brushing)}
 NEWEST = [task_spec(name).id for name in TASKS]
-EARLIER = [f"{task}-v1" for task in TASKS] + ["scratch-v2", "feeding-v2"]
+EARLIER = [f"{task}-v1" for task in TASKS] + ["scratch-v2", "bed_bath-v2", "feeding-v2"]
 
 
 def played(env, who, steps, poses=None):

@@ -54,6 +54,7 @@ _FORMER = (  # task, version, people, seeds, millions of steps
     ("bed_bath", 1, "", 2, 10),
     ("bed_bath", 1, "-still", 1, 6),
     ("bed_bath", 1, "-preferences", 3, 6),
+    ("bed_bath", 2, "", 5, 6),
     ("arm_assist", 1, "", 5, 2),
     ("arm_assist", 1, "-still", 1, 2),
     ("arm_assist", 1, "-preferences", 3, 4),

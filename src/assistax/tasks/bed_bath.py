@@ -17,7 +17,7 @@ from assistax.scenes import BED_VIEW, RIGHT_ARM, SceneConfig, geometry, limited
 from assistax.scenes.geometry import norm
 from assistax.tasks.base import DONE, NOTHING_TO_DO, TO_DO, Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import exposed, facing, reach
+from assistax.tasks.rewards import exposed, facing, low_pass, reach
 
 SEGMENTS = ("upper_arm", "forearm")
 ROWS = (9, 8, 9)  # points along the limb, in three rows that are half a step apart: 26 per segment
@@ -34,6 +34,8 @@ class BedBathConfig:
     most_force: float = 1e6  # N, ... and with no more than this,
     speed: tuple[float, float] = (0.0, 1e3)  # m/s, ... at a speed within these,
     wash_seconds: float = 0.0  # s, and is done, once for all, after so long in all; 0: at once, merely visited
+    # What counts as speed: the pad's own and over the skin, the lesser, low-pass filtered; 0: over the skin alone.
+    stroke_seconds: float = 0.0  # s
     wipe_scale: float = 3.0  # per newly visited point; more if fewer than 52 are dirty, the same in all
     sided: bool = False  # whether observations tell on which side how much dirt is, and the way leads around the limb
     # Where it does, a point is as bad to wash next as one that is so much farther away if its skin looks away
@@ -56,6 +58,7 @@ class BedBathState:
     visited: jax.Array  # [52] bool, or washed, or clean from the start
     seconds: jax.Array  # [52] of washing
     newly: jax.Array  # int32: points first visited in this control step
+    strokes: jax.Array  # [3, 3] m/s, of the pad over the skin of either segment and in the room, low-pass filtered
 
 
 class BedBath:
@@ -119,7 +122,7 @@ class BedBath:
         if self.config.dirty < pi:
             middle = jax.random.uniform(key, (), minval=-pi, maxval=pi)
             dirty = jnp.cos(self._angle - middle) >= jnp.cos(self.config.dirty)
-        return BedBathState(dirty, ~dirty, jnp.zeros(count), jnp.int32(0))
+        return BedBathState(dirty, ~dirty, jnp.zeros(count), jnp.int32(0), jnp.zeros((3, 3)))
 
     def to_points(self, s: Sensors) -> jax.Array:
         """Vectors [52, 3] from the tool to all points, in world axes."""
@@ -226,29 +229,41 @@ class BedBath:
         return paid @ state.dirty / state.dirty.sum()
 
     def advance(self, s: Sensors, state: BedBathState) -> BedBathState:
-        washing = self._washing(s)
+        if seconds := self.config.stroke_seconds:
+            state = replace(state, strokes=low_pass(state.strokes, self._velocities(s), self.dt, seconds))
+        washing = self._washing(s, state)
         seconds = state.seconds + self.dt * washing
         done = washing & (seconds > self.config.wash_seconds - self.dt / 2)
-        return BedBathState(state.dirty, state.visited | done, seconds, (done & ~state.visited).sum())
+        return replace(state, visited=state.visited | done, seconds=seconds, newly=(done & ~state.visited).sum())
 
-    def _washing(self, s: Sensors) -> jax.Array:
+    def _velocities(self, s: Sensors) -> jax.Array:
+        """[3, 3] m/s of the pad, seen from the upper arm, the forearm and the room."""
+        return jnp.stack([tool_velocity(s, part) for part in SEGMENTS] + [s["tool_vel"]])
+
+    def _washing(self, s: Sensors, state: BedBathState) -> jax.Array:
         """[52] at which points the pad presses and moves as it should."""
         c = self.config
-        force, speed = (norm(jnp.stack([of(s, part) for part in SEGMENTS])) for of in (tool_force, tool_velocity))
+        force = norm(jnp.stack([tool_force(s, part) for part in SEGMENTS]))
+        speed = self._speeds(s, state)
         rubbing = (force > c.touch_force) & (force <= c.most_force) & (c.speed[0] <= speed) & (speed <= c.speed[1])
         return rubbing[self.segment] & (norm(self.to_points(s)) < c.near)
 
     def helping(self, s: Sensors, state: BedBathState):
         """Washing a point that was dirty until this step: so for wash_seconds at each, and never by staying on one."""
         unwashed = state.dirty & (state.seconds < self.config.wash_seconds + self.dt / 2)
-        return (self._washing(s) & unwashed).any()
+        return (self._washing(s, state) & unwashed).any()
 
     def tool_speed(self, s: Sensors, state: BedBathState):
         """Seen from the segment with the nearest point."""
-        upper, fore = (tool_velocity(s, part) for part in SEGMENTS)
-        if upper is fore:
-            return norm(upper)
-        return norm(jnp.where(jnp.argmin(norm(self.to_points(s))) < len(self.points[0]), upper, fore))
+        upper, fore = self._speeds(s, state)
+        return jnp.where(jnp.argmin(norm(self.to_points(s))) < len(self.points[0]), upper, fore)
+
+    def _speeds(self, s: Sensors, state: BedBathState) -> jax.Array:
+        """[2] in m/s by segment, as far as they count: see `BedBathConfig.stroke_seconds`."""
+        if self.config.stroke_seconds:
+            speeds = norm(state.strokes)
+            return jnp.minimum(speeds[:2], speeds[2])
+        return norm(jnp.stack([tool_velocity(s, part) for part in SEGMENTS]))
 
     def outcomes(self, state: BedBathState):
         return {"fraction_visited": (state.visited & state.dirty).sum() / state.dirty.sum()}
@@ -302,5 +317,13 @@ _HELPING = TaskSpec(
     rest_pays="reach",
 )
 _TO_A_CLOCK = replace(_HELPING, version=2, clock=1.5)
+# A pad that trembles by less than 3 mm to either side, or is only laid on the skin here and there, washes nothing.
+_BY_STROKES = replace(
+    _TO_A_CLOCK,
+    version=3,
+    scene=replace(_TO_A_CLOCK.scene, throat=True),
+    config=replace(_TO_A_CLOCK.config, stroke_seconds=0.1, speed=(0.05, 0.4), wash_seconds=0.2),
+    expert="assistax.policies.experts.bed_bath:BathByStrokesExpert",
+)
 
-SPECS = (_PAPER, _HELPING, _TO_A_CLOCK)
+SPECS = (_PAPER, _HELPING, _TO_A_CLOCK, _BY_STROKES)

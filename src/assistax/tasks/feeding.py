@@ -5,7 +5,7 @@ frame, its tip is +z.
 """
 
 from dataclasses import dataclass, replace
-from math import exp, pi
+from math import pi
 from typing import ClassVar
 
 import jax
@@ -17,7 +17,7 @@ from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry, limited
 from assistax.scenes.geometry import norm
 from assistax.tasks.base import Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import UP, approach, boltzmann, envelope, orientation
+from assistax.tasks.rewards import UP, approach, boltzmann, envelope, low_pass, orientation
 
 GRAVITY = 9.81  # m/s²
 
@@ -116,8 +116,8 @@ class Feeding:
         """Of the bowl [3], in world axes, low-pass filtered: from its mean over the control step."""
         if not self.config.filter_seconds:
             return state.acceleration
-        share = 1.0 - exp(-self.dt / self.config.filter_seconds)
-        return state.acceleration + share * ((s["tool_vel"] - state.velocity) / self.dt - state.acceleration)
+        now = (s["tool_vel"] - state.velocity) / self.dt
+        return low_pass(state.acceleration, now, self.dt, self.config.filter_seconds)
 
     def _at_mouth(self, s: Sensors):
         """Whether the bowl, between its middle and its tip, is at the mouth: in front, tip in, upper side up, and

@@ -4,7 +4,7 @@ Paper: task "Scratch"; reward components r_t and r_s.
 """
 
 from dataclasses import dataclass, replace
-from math import exp, pi
+from math import pi
 from typing import ClassVar
 
 import jax
@@ -17,7 +17,7 @@ from assistax.scenes import RIGHT_ARM, SceneConfig, geometry, limited
 from assistax.scenes.geometry import norm
 from assistax.tasks.base import Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import boltzmann, reach
+from assistax.tasks.rewards import boltzmann, low_pass, reach
 
 SEGMENTS = ("upper_arm", "forearm")
 TOUCHING = 1e-3  # N, a contact; 0 up to rounding
@@ -148,8 +148,7 @@ class Scratch:
         c = self.config
         if c.stroke_seconds:
             now = jnp.stack([self.tool_velocity(s, state), s["tool_vel"]])
-            share = 1.0 - exp(-self.dt / c.stroke_seconds)
-            state = replace(state, strokes=state.strokes + share * (now - state.strokes))
+            state = replace(state, strokes=low_pass(state.strokes, now, self.dt, c.stroke_seconds))
         speed, force = self.tool_speed(s, state), norm(self._on_segment(s, state, tool_force))
         scratching = norm(self._to_itch(s, state)) < c.scratch_distance
         scratching &= (c.scratch_force[0] <= force) & (force <= c.scratch_force[1])

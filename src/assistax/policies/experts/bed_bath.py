@@ -114,3 +114,11 @@ class BathAroundExpert(Expert):
             press=on_skin * (drag * axis - manner.force * out),
             free=on_skin * out,
         ), carry
+
+
+class BathByStrokesExpert(BathAroundExpert):
+    """The same, firmer and sooner from place to place: each wants strokes of its own."""
+
+    stroke_speed = 0.12
+    force = 5.0
+    land, slide, travel = 0.2, 0.25, 0.6
