@@ -13,6 +13,7 @@ import assistax
 from assistax import scenes
 from assistax.evaluation.playing import play
 from assistax.policies.experts.arm_assist import ArmAssistExpert
+from assistax.policies.experts.bed_bath import BathAroundExpert
 from assistax.policies.experts.feeding import FeedingExpert
 from assistax.policies.experts.scratch import ScratchExpert
 from assistax.policies.experts.tooth_brushing import ToothBrushingExpert
@@ -109,24 +110,44 @@ class Hovers(FeedingExpert):
         return goal._replace(press=jnp.zeros(3), free=jnp.zeros(3)), carry
 
 
+def trembling(goal, axis, t, hertz=15.0, amplitude=0.0013, push=18.0):
+    """On the skin, along an axis: amplitude in m, push in N."""
+    beat = 2.0 * jnp.pi * hertz * t
+    on_skin = norm(goal.free * jnp.ones(3)) > 0.5
+    drift = on_skin * 2.0 * jnp.pi * hertz * amplitude * jnp.cos(beat) * axis
+    # In phase with the acceleration, which a tool of some kg needs.
+    return goal._replace(drift=drift, press=goal.press - on_skin * push * jnp.sin(beat) * axis)
+
+
 class Trembles(ScratchExpert):
     """Presses the stick on the itch and trembles there by 1.3 mm to either side, 15 times a second."""
-
-    hertz, amplitude, push = 15.0, 0.0013, 18.0  # amplitude in m, push in N
 
     def initial_carry(self):
         return {"t": jnp.float32(0.0)}
 
     def goal(self, carry, s, task, pos, rot, manner):
-        beat = 2.0 * jnp.pi * self.hertz * carry["t"]
-        still = s | {"clock": jnp.zeros(2)}
-        goal, _ = super().goal((), still, task, pos, rot, manner)
-        _, _, axis = self.env.task.skin(s, task)
-        on_skin = norm(goal.free * jnp.ones(3)) > 0.5
-        drift = on_skin * 2.0 * jnp.pi * self.hertz * self.amplitude * jnp.cos(beat) * axis
-        # In phase with the acceleration, which a tool of some kg needs.
-        press = goal.press - on_skin * self.push * jnp.sin(beat) * axis
-        return goal._replace(drift=drift, press=press), {"t": carry["t"] + DT}
+        goal, _ = super().goal((), s | {"clock": jnp.zeros(2)}, task, pos, rot, manner)
+        return trembling(goal, self.env.task.skin(s, task)[2], carry["t"]), {"t": carry["t"] + DT}
+
+
+class Laid(BathAroundExpert):
+    """Lays the pad on the dirt, here and there, without strokes."""
+
+    def goal(self, carry, s, task, pos, rot, manner):
+        return super().goal(carry, s | {"clock": jnp.zeros(2)}, task, pos, rot, manner)
+
+
+class TremblesInBed(Laid):
+    """And trembles there by 1.3 mm to either side, 15 times a second."""
+
+    def initial_carry(self):
+        return {"t": jnp.float32(0.0)}
+
+    def goal(self, carry, s, task, pos, rot, manner):
+        goal, _ = super().goal((), s, task, pos, rot, manner)
+        bath = self.env.task
+        axis = bath.axes(s)[jnp.asarray(bath.segment)[bath.target(s, task)]]
+        return trembling(goal, axis, carry["t"]), {"t": carry["t"] + DT}
 
 
 class TakesBack(ArmAssistExpert):
@@ -162,6 +183,8 @@ CHEATS = {  # by name: the task, the version in which it scores, the robot and t
     "pouring out before the mouth": ("feeding", 2, Pours, offer),
     "a spoon before the lips": ("feeding", 2, Hovers, offer),
     "a stick that trembles": ("scratch", 2, Trembles, offer),
+    "a pad laid here and there": ("bed_bath", 2, Laid, offer),
+    "a pad that trembles": ("bed_bath", 2, TremblesInBed, offer),
     "an arm that leaves again": ("arm_assist", 1, TakesBack, LeavesAgain),
 }
 

@@ -118,8 +118,7 @@ class Seen(Truth):
 
 
 def stroked(before, now):
-    """Velocities over the skin of some parts and in the room, both low-pass filtered over 0.1 s, and speeds by part: the
-    lesser of that over it and that in the room."""
+    """Velocities over some parts and in the room, low-pass filtered over 0.1 s, and by part the lesser speed."""
     after = before + (1 - np.exp(-DT / 0.1)) * (np.stack(now) - before)
     *over, room = np.linalg.norm(after, axis=1)
     return after, np.minimum(over, room)

@@ -57,7 +57,7 @@ def test_a_bare_name_is_the_newest_version_and_its_packaged_team_the_newest_ther
     from assistax.training.team_file import TRAINED, trained_file
 
     for name in ("scratch", "bed_bath", "arm_assist", "feeding", "tooth_brushing"):
-        assert task_spec(name).id == f"{name}-v{3 if name in ('scratch', 'feeding') else 2}"
+        assert task_spec(name).id == f"{name}-v{3 if name in ('scratch', 'bed_bath', 'feeding') else 2}"
         newest = max((3, 2, 1, 0), key=lambda version: ((TRAINED / f"{name}-v{version}.safetensors").exists(), version))
         assert trained_file(name) == TRAINED / f"{name}-v{newest}.safetensors"
         assert trained_file(f"{name}-v0") == TRAINED / f"{name}-v0.safetensors"

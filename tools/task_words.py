@@ -126,8 +126,8 @@ TASKS = {
         "{c.touch_force:g} N",
         "{c.success_fraction:.0%} of the dirty points are washed (`fraction_visited`). A point is washed after "
         "{c.wash_seconds:g} s in all within {c.near:g} m of the pad, with {c.touch_force:g} to {c.most_force:g} N on "
-        "its segment and a speed of {c.speed[0]:g} to {c.speed[1]:g} m/s: the pad's as that segment sees it or its own in "
-        "the room, whichever is less, both velocities low-pass filtered over {c.stroke_seconds:g} s",
+        "its segment and a speed of {c.speed[0]:g} to {c.speed[1]:g} m/s: the pad's as that segment sees it or its own "
+        "in the room, whichever is less, both velocities low-pass filtered over {c.stroke_seconds:g} s",
         "When all dirty points are washed, the episode is terminated.",
         "Which side is dirty: of 52 points, evenly over the skin of the arm, those within {deg[dirty]}° of an angle "
         "around the arm that is uniform.",
@@ -135,9 +135,9 @@ TASKS = {
         "anything within 5 cm of it once, however fast or hard, and 90 % make a success. An episode that ends early "
         "loses the reach reward of the steps that are left.",
         ("upper_arm", "forearm", "hand"),
-        "In `bed_bath-v2` a point is washed after 0.08 s at 0.02 m/s, as its segment sees it at that moment, which is 1.6 "
-        "mm: a pad that trembles washes it, and one that is laid on it. In `bed_bath-v1`, too, where the robot sees no "
-        "clock.",
+        "In `bed_bath-v2` a point is washed after 0.08 s at 0.02 m/s, as its segment sees it at that moment, which is "
+        "1.6 mm: a pad that trembles washes it, and one that is laid on it. So in `bed_bath-v1`, whose robot sees "
+        "no clock.",
     ),
     "arm_assist": Words(
         "The person lies in bed with a weak right arm that hangs over the edge. The robot holds a hook, lifts the "
