@@ -136,8 +136,8 @@ TASKS = {
         "loses the reach reward of the steps that are left.",
         ("upper_arm", "forearm", "hand"),
         "In `bed_bath-v2` a point is washed after 0.08 s at 0.02 m/s, as its segment sees it at that moment, which is "
-        "1.6 mm: a pad that trembles washes it, and one that is laid on it. So in `bed_bath-v1`, whose robot sees "
-        "no clock.",
+        "1.6 mm: a pad that trembles washes it, and one that is laid on it. `bed_bath-v1` is the same but for the "
+        "clock, which its robot does not see.",
     ),
     "arm_assist": Words(
         "The person lies in bed with a weak right arm that hangs over the edge. The robot holds a hook, lifts the "
