@@ -34,11 +34,12 @@ teachers; while they are followed, in the first million steps, a training is abo
 
 {cores}
 
-On two cores a process for each of them, pinned, has {side} times what one process has with both. Rounds differ
-by up to a fifth. More than 1.31 (scratch) and 1.34 times as much cannot be had like this, as one process is 1.52 and 1.49
-times as fast with both cores as with one. What more cores would give was not measured. By these numbers it is the following, if of one process's
-time for a step a part does not get shorter with more cores (Amdahl's law), and processes with a core each share
-nothing. So a list of trainings is shared between a process for each core, unless you say otherwise.
+On two cores a process for each of them, pinned, has {side} times what one process has with both. Rounds differ by up
+to a fifth. More than 1.31 (scratch) and 1.34 times as much cannot be had like this, as one process is 1.52 and 1.49
+times as fast with both cores as with one. What more cores would give was not measured. By these numbers it is the
+following, if of one process's time for a step a part does not get shorter with more cores (Amdahl's law), and
+processes with a core each share nothing. So a list of trainings is shared between a process for each core, unless you
+say otherwise.
 
 {predicted}
 
@@ -56,8 +57,8 @@ Seconds on the same machine, from an empty cache of compiled programs or, warm, 
 A cold start compiles for 54 s of one core: the networks' first state 14, collecting 29, improving 12 (measured once).
 XLA shares that between the cores by itself. Compiling all three at once, each in its own thread, made a cold start no
 shorter, 55 s and 53 s without (measured once, another day). Nor are LLVM's optimisations what takes long: on a faster
-machine the three took 29 s of a core, and 31 without its expensive passes (measured once, with others beside). A warm start traces and lowers the same programs, which is
-Python's work and takes one core.
+machine the three took 29 s of a core, and 31 without its expensive passes (measured once, with others beside). A warm
+start traces and lowers the same programs, which is Python's work and takes one core.
 
 ## What version 1 costs
 
