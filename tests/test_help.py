@@ -75,8 +75,10 @@ def on_the_dirt():
     return env, washing(env, s, 4), dirty_all_over(env), lambda after: after.seconds[29 + 4]
 
 
-@pytest.mark.parametrize(("place", "least", "most"), [(on_the_itch, 0.03, 0.3), (on_the_dirt, 0.05, 0.4)])
-def test_strokes_count_and_what_trembles_or_rests_on_an_arm_that_moves_does_not(place, least, most):
+@pytest.mark.parametrize(
+    ("place", "least", "most", "long"), [(on_the_itch, 0.03, 0.3, 1.0), (on_the_dirt, 0.05, 0.4, 0.5)]
+)
+def test_strokes_count_and_what_trembles_or_rests_on_an_arm_that_moves_does_not(place, least, most, long):
     """Against a float64 filter of both velocities, of the tool over the skin and in the room, along swings."""
     env, s, state, counter = place()
     frame = np.asarray(scenes.geometry.matrix(jnp.asarray(s["forearm_quat"][0])), float)
@@ -91,7 +93,7 @@ def test_strokes_count_and_what_trembles_or_rests_on_an_arm_that_moves_does_not(
         row = repeated(s, len(t)) | {"tool_vel_forearm": felt, "tool_vel": moved}
         seconds[name] = float(counter(play(env, row, state)))
         assert seconds[name] == pytest.approx(counted * DT, abs=1e-4)
-    assert seconds.pop("strokes") > 0.5 and not any(seconds.values())
+    assert seconds.pop("strokes") > long and not any(seconds.values())
 
 
 def test_itches_are_uniform_over_all_of_the_skin_between_shoulder_and_wrist():

@@ -12,7 +12,7 @@ ROOT = Path(assistax.__file__).parent
 # From the ground up: a folder, or a file of the package itself. Nobody imports from further right than it stands.
 FLOORS = (
     ("errors", "inference"),
-    ("pytree", "programs", "devices", "files", "stamp", "registry", "settings", "spaces"),
+    ("pytree", "filters", "programs", "devices", "files", "stamp", "registry", "settings", "spaces"),
     ("formats", "executors"),
     ("scenes",),
     ("physics",),

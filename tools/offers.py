@@ -24,9 +24,8 @@ from assistax import make, scenes
 from assistax.policies.people import OFFERS, Offer
 from assistax.policies.scripted import scripted_policy
 from assistax.scenes import geometry
-from assistax.tasks.bed_bath import BedBathState
 from assistax.tasks.rewards import exposed
-from assistax.tasks.scratch import SEGMENTS, ScratchState
+from assistax.tasks.scratch import SEGMENTS
 
 CELLS = (12, 16)  # along a segment, around it
 GRID = 8  # angles per joint of the person
@@ -215,8 +214,8 @@ def played(env, postures, tasks, play_steps):
 def scratched(reach: Reach, postures, cells=slice(None)) -> np.ndarray:
     """For how much of ENOUGH the robot scratches these cells beside a person in each posture [postures, cells]."""
     segment, points = jnp.asarray(reach.segment[cells]), jnp.asarray(reach.points[cells], jnp.float32)
-    count = len(points)
-    start = ScratchState(segment, points, jnp.zeros(count), jnp.zeros((count, 2, 3)))
+    fresh = jax.vmap(reach.env.task.reset)(jax.random.split(jax.random.key(0), len(points)))
+    start = dataclasses.replace(fresh, segment=segment, itch=points)
     ends = played(reach.env, postures, start, PLAY_STEPS["scratch"])
     return np.array([np.minimum(end.scratch_seconds / ENOUGH, 1.0) for end in ends])
 
@@ -248,7 +247,8 @@ def washed(reach: Reach, postures, sides) -> np.ndarray:
     That is the share of the dirt that it washes, and whether this is enough, one as good as the other.
     """
     dirty = jnp.asarray(dirt(reach.env.task, sides))
-    start = BedBathState(dirty, ~dirty, jnp.zeros(dirty.shape), jnp.zeros(len(sides), jnp.int32))
+    fresh = jax.vmap(reach.env.task.reset)(jax.random.split(jax.random.key(0), len(sides)))
+    start = dataclasses.replace(fresh, dirty=dirty, visited=~dirty)
     ends = played(reach.env, postures, start, PLAY_STEPS["bed_bath"])
     share = np.array([(end.visited & dirty).sum(1) / dirty.sum(1) for end in ends])
     return (share + (share >= reach.env.task.config.success_fraction)) / 2.0

@@ -35,8 +35,8 @@ teachers; while they are followed, in the first million steps, a training is abo
 {cores}
 
 On two cores a process for each of them, pinned, has {side} times what one process has with both. Rounds differ by up
-to a fifth. More than 1.31 (scratch) and 1.34 times as much cannot be had like this, as one process is 1.52 and 1.49
-times as fast with both cores as with one. What more cores would give was not measured. By these numbers it is the
+to a fifth. More than {bound} times as much cannot be had like this, as one process is {alone} times
+as fast with both cores as with one. What more cores would give was not measured. By these numbers it is the
 following, if of one process's time for a step a part does not get shorter with more cores (Amdahl's law), and
 processes with a core each share nothing. So a list of trainings is shared between a process for each core, unless you
 say otherwise.
@@ -151,6 +151,7 @@ def _arrangements(path: Path) -> dict[str, str]:
     ]
     ((task, jobs),) = found["jobs"].items()
     side = [rates["a process for each core, pinned"] / rates["one process, all cores"] for rates in medians.values()]
+    alone = [rates["one process, all cores"] / rates["one process, one core"] for rates in medians.values()]
     rows = [
         [WAYS[name], f"{one['seconds']:.0f}", f"{jobs['here']['seconds'] / one['seconds']:.2f}", str(one["programs"])]
         for name, one in jobs.items()
@@ -158,6 +159,8 @@ def _arrangements(path: Path) -> dict[str, str]:
     ways = ("one process", "a process for each core")
     return {
         "side": f"{min(side):.2f} to {max(side):.2f}",
+        "alone": f"{min(alone):.2f} to {max(alone):.2f}",
+        "bound": f"{2.0 / max(alone):.2f} to {2.0 / min(alone):.2f}",
         "cores": markdown(["arrangement", *medians], cores),
         "predicted": markdown(["cores", *(f"{task}, {way}" for task in medians for way in ways)], predicted),
         "jobs_steps": f"{found['steps']:,}",

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from assistax.filters import low_pass
 from assistax.pytree import pytree
 from assistax.scenes import geometry
 
@@ -84,7 +85,7 @@ def cost(force: jax.Array) -> jax.Array:
 
 def advance(force: jax.Array, state: HarmState, dt: float) -> HarmState:
     """Book forces [regions] of one control step of `dt` seconds."""
-    filtered = state.filtered + (1.0 - np.exp(-dt / FILTER_SECONDS)) * (force - state.filtered)
+    filtered = low_pass(state.filtered, force, dt, FILTER_SECONDS)
     pressing = jnp.where(filtered > _CLAMPING, state.pressing + dt, 0.0)
     over = jnp.maximum(force - _COMFORT, 0.0)
     return HarmState(

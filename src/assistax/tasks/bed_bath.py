@@ -12,12 +12,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax.filters import low_pass
 from assistax.pytree import pytree
 from assistax.scenes import BED_VIEW, RIGHT_ARM, SceneConfig, geometry, limited
 from assistax.scenes.geometry import norm
 from assistax.tasks.base import DONE, NOTHING_TO_DO, TO_DO, Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import exposed, facing, low_pass, reach
+from assistax.tasks.rewards import exposed, facing, reach
 
 SEGMENTS = ("upper_arm", "forearm")
 ROWS = (9, 8, 9)  # points along the limb, in three rows that are half a step apart: 26 per segment
@@ -229,16 +230,14 @@ class BedBath:
         return paid @ state.dirty / state.dirty.sum()
 
     def advance(self, s: Sensors, state: BedBathState) -> BedBathState:
-        if seconds := self.config.stroke_seconds:
-            state = replace(state, strokes=low_pass(state.strokes, self._velocities(s), self.dt, seconds))
+        c = self.config
+        if c.stroke_seconds:
+            now = jnp.stack([tool_velocity(s, part) for part in SEGMENTS] + [s["tool_vel"]])
+            state = replace(state, strokes=low_pass(state.strokes, now, self.dt, c.stroke_seconds))
         washing = self._washing(s, state)
         seconds = state.seconds + self.dt * washing
-        done = washing & (seconds > self.config.wash_seconds - self.dt / 2)
+        done = washing & (seconds > c.wash_seconds - self.dt / 2)
         return replace(state, visited=state.visited | done, seconds=seconds, newly=(done & ~state.visited).sum())
-
-    def _velocities(self, s: Sensors) -> jax.Array:
-        """[3, 3] m/s of the pad, seen from the upper arm, the forearm and the room."""
-        return jnp.stack([tool_velocity(s, part) for part in SEGMENTS] + [s["tool_vel"]])
 
     def _washing(self, s: Sensors, state: BedBathState) -> jax.Array:
         """[52] at which points the pad presses and moves as it should."""
@@ -317,7 +316,7 @@ _HELPING = TaskSpec(
     rest_pays="reach",
 )
 _TO_A_CLOCK = replace(_HELPING, version=2, clock=1.5)
-# A pad that trembles by less than 3 mm to either side, or is only laid on the skin here and there, washes nothing.
+# A pad that trembles by less than 5 mm to either side, or is only laid on the skin here and there, washes nothing.
 _BY_STROKES = replace(
     _TO_A_CLOCK,
     version=3,

@@ -12,12 +12,13 @@ import jax
 import jax.numpy as jnp
 import mujoco
 
+from assistax.filters import low_pass
 from assistax.pytree import pytree
 from assistax.scenes import MEAL_VIEW, NECK, SceneConfig, geometry, limited
 from assistax.scenes.geometry import norm
 from assistax.tasks.base import Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import UP, approach, boltzmann, envelope, low_pass, orientation
+from assistax.tasks.rewards import UP, approach, boltzmann, envelope, orientation
 
 GRAVITY = 9.81  # m/s²
 

@@ -1,7 +1,5 @@
 """The components that the paper's rewards are made of (its Table "Reward component overview")."""
 
-from math import exp
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,11 +22,6 @@ def boltzmann(x: jax.Array) -> jax.Array:
 def reach(distance: jax.Array) -> jax.Array:
     """r_t = exp(−d²/σ), distance d in m."""
     return jnp.exp(-jnp.square(distance) / SIGMA)
-
-
-def low_pass(past: jax.Array, now: jax.Array, dt: float, seconds: float) -> jax.Array:
-    """The low-pass filtered signal, a time constant `seconds` long, one control step of `dt` s after it was `past`."""
-    return past + (1.0 - exp(-dt / seconds)) * (now - past)
 
 
 def exposed(normal: jax.Array, place: jax.Array, robot: jax.Array) -> jax.Array:

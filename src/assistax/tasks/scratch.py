@@ -12,12 +12,13 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax.filters import low_pass
 from assistax.pytree import pytree
 from assistax.scenes import RIGHT_ARM, SceneConfig, geometry, limited
 from assistax.scenes.geometry import norm
 from assistax.tasks.base import Sensors, tool_force, tool_velocity
 from assistax.tasks.registry import TaskSpec
-from assistax.tasks.rewards import boltzmann, low_pass, reach
+from assistax.tasks.rewards import boltzmann, reach
 
 SEGMENTS = ("upper_arm", "forearm")
 TOUCHING = 1e-3  # N, a contact; 0 up to rounding
