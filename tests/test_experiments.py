@@ -134,7 +134,7 @@ def test_the_list_begins_with_five_seeds_of_every_task():
         "-preferences-4M-": 9 + 6,
         "version3/scratch-ippo-default-preferences-8M-": 3,
         "version3/feeding-ippo-default-tremor-": 1,
-        "-untaught-4M-": 9 + 8,
+        "-default-untaught-4M-": 9 + 8,
     }.items():
         assert len([name for name in names if pattern in name]) == count, pattern
 
@@ -158,6 +158,7 @@ def test_robots_learn_beside_the_people_of_the_split(asked, tmp_path, monkeypatc
     for one in chosen:
         assert one.advance(tmp_path / "none", 1.0) is None
     by_method = dict(zip([one.method for one in chosen], asked, strict=True))
+    assert [one.method for one in chosen[:3]] == ["best-response", "untaught", "asymmetric"]
     train = splits.named("populations/scratch-v1:taught/train")[1]
     assert by_method["best-response"].partners == ("human=populations/scratch-v1:taught/train",)
     assert by_method["best-response"].env.human.people == train.people and by_method["best-response"].method.teachers

@@ -53,7 +53,7 @@ into a posture in which the robot can reach what it is to work on (the face turn
 by inverse kinematics over both bodies, `tools/offers.py`), at 1.5 rad/s, or *slowly* at 0.3 rad/s; one who *draws back*
 moves away from the tool. What lies between still and offers is what the person's help is worth to this robot: much in
 scratch and bed bath, nothing in the other three tasks. Robots that learn need it less in scratch
-([findings](findings.md#version-1-help-that-does-no-harm)).
+([findings](findings.md#what-the-persons-help-is-worth)).
 
 {pairs}
 

@@ -269,12 +269,17 @@ def _trainings(
 
 
 def _robots(
-    task: str, split: str, steps: int, seeds: int | None, methods: Sequence[str] = SEVERAL
+    task: str,
+    split: str,
+    steps: int,
+    seeds: int | None,
+    methods: Sequence[str] = SEVERAL,
+    planned: tuple[int, int] = (3, 2),  # seeds of the best response, and of the others
 ) -> Iterator[Experiment]:
-    """Three seeds of the best response, and two of the others."""
-    for method in methods:
-        number = seeds or (3 if method == "best-response" else 2)
-        yield from (Robot(task, split, method, seed, steps) for seed in range(number))
+    """Seed after seed of all methods."""
+    number = {method: seeds or planned[method != "best-response"] for method in methods}
+    for seed in range(max(number.values())):
+        yield from (Robot(task, split, method, seed, steps) for method in methods if seed < number[method])
 
 
 def experiments(seeds: int | None = None) -> Iterator[Experiment]:
@@ -282,10 +287,7 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     some = ("scratch", "arm_assist", "feeding")
     yield from _trainings("ippo", "default", "", seeds or 5)
     yield from _trainings("ippo", "default", "-preferences", seeds or 3)
-    yield from _robots("scratch-v1", "taught", 8_000_000, seeds)  # at 4 M they have 60 % and are still rising
-    yield from _robots("scratch-v1", "taught", 4_000_000, seeds or 3, ("best-response-clock",))
-    yield from _robots("feeding-v1", "random", 2_000_000, seeds, (*SEVERAL, *HIDDEN))
-    yield from _robots("feeding-v1", "extreme", 2_000_000, seeds, ("best-response", "sac"))
+    yield from _robots("scratch-v3", "taught", 4_000_000, seeds, planned=(5, 3))
     yield from _trainings("ippo", "default", "-still", seeds or 3)
     yield from _trainings("ippo", "default", "-keeps_still", seeds or 1, tasks=NEED_TWO)
     yield from _trainings("mappo", "default", "", seeds or 3)
@@ -306,6 +308,10 @@ def _of_former_versions(seeds: int | None) -> Iterator[Experiment]:
         yield from _trainings("ippo", "default", people, seeds or number, steps * 1_000_000, version, (task,))
     for task in ("feeding", "tooth_brushing"):
         yield from _trainings("mappo", "default", "", 1, version=1, tasks=(task,))
+    yield from _robots("scratch-v1", "taught", 8_000_000, seeds)  # at 4 M they have 60 % and are still rising
+    yield from _robots("scratch-v1", "taught", 4_000_000, seeds or 3, ("best-response-clock",))
+    yield from _robots("feeding-v1", "random", 2_000_000, seeds, (*SEVERAL, *HIDDEN))
+    yield from _robots("feeding-v1", "extreme", 2_000_000, seeds, ("best-response", "sac"))
 
 
 def _of_the_paper(seeds: int) -> Iterator[Experiment]:

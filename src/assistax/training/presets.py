@@ -97,15 +97,15 @@ _OURS = {
     "gamma": 0.995,  # 1.6 s, as long as it takes to bring the tool to the mouth; 0.99 is 0.8 s
     "gae_lambda": 0.98,  # 0.4 s
 }
-# From version 1 of the tasks on, beside the above: docs/findings.md shows what each is worth.
+# From version 1 of the tasks on, beside the above: docs/defaults.md shows what each is worth.
 _HELPING = {
     "learning_rate": 7e-4,  # no KL of an iteration came near desired_kl with half of it
     "final_log_std": -3.0,  # 0.05: the noise shall not do what the robot should
-    "exploration_steps": 4_000_000,  # until then, however long a run: docs/findings.md, "Short runs explore too little"
+    "exploration_steps": 4_000_000,  # until then, however long a run: docs/defaults.md, "Short runs explore too little"
     "correlated_steps": 0,  # never over: so little noise, independent from step to step, loses what was learned
     "cost_limit": 2.0,  # of an episode, on average
 }
-# Where that is not right, and the scripted teachers that help to find the way: docs/findings.md, "Teachers". Noise is
+# Where that is not right, and the scripted teachers that help to find the way: docs/defaults.md, "Teachers". Noise is
 # then less from the start, as what is shown has to be seen through it.
 _TAUGHT = {"initial_log_std": -1.5, "teachers": ("robot=expert", "human=offer"), "teaching_steps": 1_000_000}
 UNTAUGHT = {"ppo.teachers": (), "ppo.initial_log_std": -1.0}  # the settings of those who find the way by themselves
@@ -115,7 +115,7 @@ _RUBBING = _TAUGHT | {"initial_log_std": -2.0, "teaching_floor": 0.004}
 _BY_TASK: dict[str, dict[str, Any]] = {
     # Down to 0.02: a stick that noise shakes loose would stick without.
     "scratch": _RUBBING | {"final_log_std": -4.0},
-    # With larger steps what was learned is lost again: docs/findings.md.
+    # With larger steps what was learned is lost again: docs/defaults.md.
     "bed_bath": _RUBBING
     | {"initial_log_std": -2.5, "teaching_steps": 2_000_000}
     | {"desired_kl": 0.01, "cost_limit": 3.0},
