@@ -1,7 +1,9 @@
 """People with habits: what each parameter does, against the scripted people that habits are made of."""
 
 import dataclasses
+import importlib
 from itertools import combinations
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -114,3 +116,17 @@ def test_every_way_of_offering_has_postures_of_its_own(task, ways):
     for i, j in combinations(range(ways), 2):
         both = turned[i] & turned[j]
         assert (both & (np.abs(aims[i] - aims[j]).max(-1) < 0.05)).mean() <= 0.05, (i, j)
+
+
+def test_ways_are_dealt_postures_in_turn_and_none_near_another_way(monkeypatch):
+    """One joint, two ways, rest and six postures: the first way takes 1.2, the best, so that 1.0 is too near for the
+    second, which takes 2.0; then each takes what adds most to what it has."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[1] / "tools"))
+    offers = importlib.import_module("offers")
+    monkeypatch.setattr(offers, "OTHERS", 2)
+    monkeypatch.setattr(offers, "DEALT", 2)
+    postures = np.array([0.0, 1.0, 1.2, 2.0, 3.0, 4.0, 5.0])[:, None]
+    worth = np.array([[0.0, 0], [0.9, 0.3], [0.8, 0.8], [0.1, 0.95], [0.92, 0.1], [0.2, 0.5], [0.0, 0.0]])
+    assert offers.deal(2, postures, worth) == [[0, 2, 4], [0, 3, 5]]
+    usual = np.array([[0.0], [1.1], [4.2]])
+    assert offers.fresh(usual, postures, worth).ravel().tolist() == [0.0, 2.0, 3.0]

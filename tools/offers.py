@@ -1,6 +1,7 @@
 """Postures in which a person offers the robot what it is to work on, by inverse kinematics over both bodies.
 
-python tools/offers.py   # writes src/assistax/policies/offers.json, an hour
+python tools/offers.py            # writes src/assistax/policies/offers.json, an hour
+python tools/offers.py --others   # only the other ways, half of it
 
 A posture counts if the person can hold it, if nothing is in the way there or on the way there from rest while the robot
 waits at its start, and if the tool then touches the skin with nothing else in the way. It says, too, what share of the
@@ -8,11 +9,12 @@ arm's skin the robot can reach beside a person at rest, and beside one who moves
 
 What can be touched can still not be scratched or washed well. So the scripted robot plays beside people who hold the
 most promising postures, with an itch in every place and dirt on every side, and each gets the posture that serves best.
-Other people turn the arm in other ways: these postures are chosen by what can be touched in them alone.
+Other people turn the arm in other ways, which are dealt postures in turn, none near one of another way.
 """
 
 import dataclasses
 import json
+import sys
 from itertools import product
 
 import jax
@@ -37,7 +39,8 @@ AROUND_PAD = 0.045  # m, from the pad's centre, what it washes
 LEAN = {"scratch": 1.0, "bed_bath": 0.0}  # how far the tool leans away from the robot, as the scripted robot holds it
 TIP = {"scratch": 0.008, "bed_bath": 0.004}  # m, from tool point to skin when touching
 MORE = {"scratch": 4, "bed_bath": 8}  # postures of the usual way, beside rest
-OTHERS = 4  # ... and of any other
+OTHERS = 5  # ... and of any other
+DEALT = 30  # postures, at most, of which those are chosen
 SIDES = 48  # around the arm, on which it may be dirty
 NEAR = np.radians([0.0, -2.5, 2.5])  # a side is washed well if those beside it are
 TOUCHED, BEST = 8, 3  # postures, by side: which are played by what is touched, and again by what was washed
@@ -47,8 +50,7 @@ PLAY_STEPS = {"scratch": 800, "bed_bath": 1000}
 ENOUGH = 4.0  # s of scratching; more is not better
 WAYS = {"scratch": 4, "bed_bath": 3}  # of offering; in one more of bed bath the pair succeeds in 53 %
 APART = 0.35  # rad, in some joint: postures of different ways
-# By so much worse it may be not to move, of what is best where postures are played, and of what is touched.
-REST_PLAYED, REST_TOUCHED = {"scratch": 0.15, "bed_bath": 0.05}, 0.05
+REST = {"scratch": 0.15, "bed_bath": 0.05}  # by so much worse it may be not to move
 
 
 class Reach:
@@ -267,12 +269,9 @@ def choose(worth, count):
     return chosen
 
 
-def way(task: str, postures, worth, bonus) -> dict:
-    """Which of these postures, of which the first is rest, serves each place, by what each is worth there.
-
-    By the `bonus` it may be worse not to move.
-    """
-    best = (worth + bonus * (np.arange(len(postures)) == 0)[:, None]).argmax(0)
+def way(task: str, postures, worth) -> dict:
+    """Which of these postures, of which the first is rest, serves each place, by what each is worth there."""
+    best = (worth + REST[task] * (np.arange(len(postures)) == 0)[:, None]).argmax(0)
     if task == "scratch":
         rows = best.reshape(len(SEGMENTS), *CELLS)
         told = {part: ["".join(map(str, row)) for row in of] for part, of in zip(SEGMENTS, rows, strict=True)}
@@ -281,19 +280,25 @@ def way(task: str, postures, worth, bonus) -> dict:
     return {"postures": np.round(postures, 3).tolist(), **told}
 
 
-def others(count, first, postures, touched):
-    """Rest and OTHERS, `count` times, by what is touched in them, none near one that is in use before."""
-    used = list(first[1:])
-    for _ in range(count):
-        apart = np.abs(postures[:, None] - np.array(used)).max(-1).min(1)
-        fresh = np.where((apart > APART) | (np.arange(len(postures)) == 0), 1.0, 0.0)
-        chosen = choose(touched * fresh[:, None], OTHERS)
-        yield postures[chosen], touched[chosen], REST_TOUCHED
-        used += list(postures[chosen[1:]])
+def fresh(first, postures, promising):
+    """Rest and DEALT more postures that are promising, none near one that the usual way has."""
+    apart = np.abs(postures[:, None] - first[1:]).max(-1).min(1) > APART
+    return postures[choose(promising * apart[:, None], DEALT)]
 
 
-def offers(task: str) -> list[dict]:
-    """The ways of offering, the usual first."""
+def deal(count, postures, worth):
+    """Rest and OTHERS of these postures for each of `count` ways [count, 1 + OTHERS], in turn that which adds most to
+    its own, none near one of another way."""
+    ways = [[0] for _ in range(count)]
+    for mine in ways * OTHERS:
+        theirs = [i for way in ways if way is not mine for i in way[1:]]
+        apart = (np.abs(postures[:, None] - postures[theirs]).max(-1) > APART).all(1)
+        mine.append(int((np.maximum(worth, worth[mine].max(0)).sum(1) * apart).argmax()))
+    return ways
+
+
+def offers(task: str, known: list[dict] | None) -> list[dict]:
+    """The ways of offering, the usual first, which may be known."""
     reach = Reach(task)
     limits = reach.model.jnt_range[[reach.model.joint(j).id for j in reach.env.spec.scene.human_driven]]
     grid = product(*(np.linspace(low + 0.1, high - 0.1, GRID) for low, high in limits))
@@ -302,29 +307,48 @@ def offers(task: str) -> list[dict]:
     rest, some = touched[0].mean(), touched.any(0).mean()
     print(f"{task}: {len(possible)} postures; {rest:.0%} of the skin touched at rest, {some:.0%} in some")
     promising = neighbourhood(touched * facing**2)
-    if task == "scratch":
-        postures = possible[choose(promising, PLAYED)]
-        worth = neighbourhood(scratched(reach, postures))
-    else:
-        sides = np.linspace(-np.pi, np.pi, SIDES, endpoint=False)
+    sides = np.linspace(-np.pi, np.pi, SIDES, endpoint=False)
+    if task == "bed_bath":
         points = np.concatenate([np.asarray(xs) for xs in reach.env.task.points])
         apart = np.linalg.norm(points[:, None] - reach.points, axis=-1)
         near = (apart < AROUND_PAD) & (reach.env.task.segment[:, None] == reach.segment)
         dirty = dirt(reach.env.task, sides)
         reached = ((touched.astype(int) @ near.T >= 2)[:, None] & dirty).sum(2) / dirty.sum(1)
         promising = np.mean([np.roll(reached, d, 1) for d in (-2, -1, 0, 1, 2)], 0)
-        postures = possible[most(promising, TOUCHED)]
-        postures = postures[most(washed(reach, postures, sides), BEST)]
-        worth = np.mean([washed(reach, postures, sides + d) for d in NEAR], 0)
-    chosen = choose(worth, MORE[task])
+
+    def worth(postures):
+        if task == "scratch":
+            return neighbourhood(scratched(reach, postures))
+        return np.mean([washed(reach, postures, sides + d) for d in NEAR], 0)
+
+    if known is None:
+        if task == "scratch":
+            postures = possible[choose(promising, PLAYED)]
+        else:
+            postures = possible[most(promising, TOUCHED)]
+            postures = postures[most(washed(reach, postures, sides), BEST)]
+        worths = worth(postures)
+        chosen = choose(worths, MORE[task])
+        tell(postures, worths, chosen)
+        usual = postures[chosen], worths[chosen]
+        if task == "scratch":
+            usual = with_missed(reach, *usual, possible, promising)
+        known = [way(task, *usual)]
+    postures = fresh(np.array(known[0]["postures"]), possible, promising)
+    worths = worth(postures)
+    dealt = deal(WAYS[task] - 1, postures, worths)
+    for chosen in dealt:
+        tell(postures, worths, chosen)
+    return [known[0], *(way(task, postures[chosen], worths[chosen]) for chosen in dealt)]
+
+
+def tell(postures, worth, chosen):
+    """How well the places are served by the first of the chosen postures, by the first two, and so on."""
     for some in (chosen[:n] for n in range(1, len(chosen) + 1)):
-        print(f"  {np.round(postures[some[-1]], 2)}: {worth[some].max(0).mean():.1%}")
-    usual = postures[chosen], worth[chosen]
-    if task == "scratch":
-        usual = with_missed(reach, *usual, possible, promising)
-    usual = *usual, REST_PLAYED[task]
-    return [way(task, *one) for one in (usual, *others(WAYS[task] - 1, usual[0], possible, promising))]
+        print(f"  {np.round(postures[some[-1]], 2)}: {worth[some].max(0).mean():.1%}", flush=True)
 
 
 if __name__ == "__main__":
-    OFFERS.write_text(json.dumps({task: offers(task) for task in ("scratch", "bed_bath")}, indent=1) + "\n")
+    stored = json.loads(OFFERS.read_text()) if sys.argv[1:] == ["--others"] else {}
+    ways = {task: offers(task, stored.get(task)) for task in ("scratch", "bed_bath")}
+    OFFERS.write_text(json.dumps(ways, indent=1) + "\n")
