@@ -130,3 +130,6 @@ def test_ways_are_dealt_postures_in_turn_and_none_near_another_way(monkeypatch):
     assert offers.deal(2, postures, worth) == [[0, 2, 4], [0, 3, 5]]
     usual = np.array([[0.0], [1.1], [4.2]])
     assert offers.fresh(usual, postures, worth).ravel().tolist() == [0.0, 2.0, 3.0]
+    monkeypatch.setattr(offers, "DEALT", 5)
+    worth[6] = 0.01
+    assert offers.fresh(usual, postures, worth).ravel().tolist() == [0.0, 2.0, 3.0, 5.0]

@@ -281,9 +281,14 @@ def way(task: str, postures, worth) -> dict:
 
 
 def fresh(first, postures, promising):
-    """Rest and DEALT more postures that are promising, none near one that the usual way has."""
+    """Rest and DEALT more postures, none near one that the usual way has: those that together are most promising, and
+    when one more of these adds nothing, those of the rest."""
     apart = np.abs(postures[:, None] - first[1:]).max(-1).min(1) > APART
-    return postures[choose(promising * apart[:, None], DEALT)]
+    left, chosen = promising * apart[:, None], [0]
+    while len(chosen) <= DEALT and (more := [i for i in dict.fromkeys(choose(left, DEALT + 1 - len(chosen))) if i]):
+        chosen += more
+        left[more] = 0.0
+    return postures[chosen]
 
 
 def deal(count, postures, worth):

@@ -25,9 +25,13 @@ import task_pages
 from assistax.env import make
 from assistax.errors import choose
 from assistax.evaluation import evaluate
+from assistax.experiments import NEED_TWO
 from assistax.files import read_json, write_atomically
 from assistax.human import DISABILITIES
 from assistax.policies import scripted_team
+from assistax.policies.habits import HABITS
+from assistax.policies.player import Team
+from assistax.policies.scripted import scripted_player
 from assistax.results.comparison import REFERENCES, markdown, read_references, report, tables
 from assistax.results.figures import learning_curves, save
 from assistax.results.stored import experiments, find_runs
@@ -36,6 +40,7 @@ from assistax.tasks import TASKS, task_spec
 from assistax.teamwork import crossplay
 
 EPISODES = 64
+BESIDE = "expert beside {}"  # a habit
 BOUNDS = {spec.name: spec.bound for spec in TASKS.values() if spec.version == 0}
 NEWEST, PAPER = ({name: task_spec(f"{name}{which}").id for name in BOUNDS} for which in ("", "-v0"))
 EXPERTS_PAGE = """# Scripted policies
@@ -60,6 +65,13 @@ scratch and bed bath, nothing in the other three tasks. Robots that learn need i
 What the pair of expert and offering person earns and does to the body:
 
 {offered}
+
+## The expert beside people with habits
+
+Where the person's help is worth much, it matters how and when they help ([who they
+are](populations.md#people-with-habits)). Success, its 95 % interval, and safe success:
+
+{habits}
 
 ## Nobody, and noise
 
@@ -106,16 +118,26 @@ def measure(path: Path = REFERENCES) -> str:
         wanted = [(policy, {}) for policy in plain]
         wanted += [(policy, {"preference": "sweep"}) for policy in ("expert", "considerate", "offer")]
         wanted += [("offer", {"disability": disability}) for disability in DISABILITIES]
+        if task_spec(task).name in NEED_TWO:
+            wanted += [(BESIDE.format(habit), {}) for habit in HABITS]
         for policy, human in wanted:
             person = {"disability": "none", "preference": "none", "people": "none"} | human
             if json.dumps([task, policy, person]) in known:
                 continue
             env = make(task, human=human)
-            report = evaluate(env, scripted_team(policy, env), EPISODES)
+            report = evaluate(env, team_of(policy, env), EPISODES)
             records.append({"task": task, "policy": policy, "human": person, **report, "commit": commit()})
             write_atomically(path, (json.dumps(records, indent=1) + "\n").encode())
             print(task, policy, human, f"success {report['success_rate']:.0%}", flush=True)
     return json.dumps(records, indent=1) + "\n"
+
+
+def team_of(policy: str, env) -> Team:
+    """A scripted team, or the expert beside a person with a habit."""
+    for habit in HABITS:
+        if policy == BESIDE.format(habit):
+            return {agent: scripted_player(name, env, agent) for agent, name in (("robot", "expert"), ("human", habit))}
+    return scripted_team(policy, env)
 
 
 def experts(records: list[dict[str, Any]]) -> str:
@@ -137,6 +159,14 @@ def experts(records: list[dict[str, Any]]) -> str:
             told = (f"{r['success_rate']:.0%} ({r['force']['mean_in_contact']:.1f})" for r in reports)
             rows.append([task, *told])
         return markdown(["task", *DISABILITIES], rows)
+
+    def habits():
+        tasks = [NEWEST[task] for task in NEED_TWO]
+        rows = [
+            [f"`{habit}`", *(percent(find(task, BESIDE.format(habit)), safe=True) for task in tasks)]
+            for habit in HABITS
+        ]
+        return markdown(["person", *tasks], rows)
 
     def nobody(versions):
         rows = []
@@ -182,6 +212,7 @@ def experts(records: list[dict[str, Any]]) -> str:
         offered=markdown(["task", "return", "of the bound", *force, *harm], offered),
         nobody=nobody(NEWEST),
         disabled=disabled(),
+        habits=habits(),
         considerate=considerate(NEWEST, ("expert", "considerate", "offer")),
         experts_v0=markdown(["task", "success", "return", "of the paper's bound", *force], plain),
         nobody_v0=nobody(PAPER),
