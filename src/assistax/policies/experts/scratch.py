@@ -22,7 +22,7 @@ class ScratchExpert(Expert):
     drag = 1.5  # N, to overcome friction; three times as much while the stick sticks
     turning = 0.02  # m/s: slower than this, a stroke goes to the middle
     away = 0.12  # m, from the skin, until the stick points the right way
-    still = 0.3  # rad/s: while a joint of the person is faster, the robot waits
+    still = 1.0  # rad/s: while a joint of the person is faster, the robot waits, but not for a tremor
 
     def goal(self, carry, s, task, pos, rot, manner):
         t = self.env.task
