@@ -14,7 +14,7 @@ import assistax
 from assistax import scenes
 from assistax.errors import UsageError
 from assistax.policies.habits import HABITS, Habit, Habits, person
-from assistax.policies.people import Reflex, offer
+from assistax.policies.people import Muscles, Reflex, offer
 
 
 @pytest.fixture(scope="module")
@@ -133,3 +133,19 @@ def test_ways_are_dealt_postures_in_turn_and_none_near_another_way(monkeypatch):
     monkeypatch.setattr(offers, "DEALT", 5)
     worth[6] = 0.01
     assert offers.fresh(usual, postures, worth).ravel().tolist() == [0.0, 2.0, 3.0, 5.0]
+
+
+@pytest.mark.parametrize("body", ["none", "tremor", "weakness"])
+def test_muscles_are_springs_that_tense_against_a_tremor_and_try_harder_where_they_are_weak(body):
+    """Shoulders have 60 N m/rad and 4 N m s/rad, the elbow 25 and 1; full torque is 10 N m, of the weak 4."""
+    env = assistax.make("scratch-v3", engine="mujoco", human={"disability": body})
+    _, state = jax.jit(env.reset)(jax.random.key(0))
+    driven = scenes.qpos_ids(env.model, env.spec.scene.human_driven)
+    speeds = jnp.array([0.1, -0.2, 0.5])
+    qvel = state.physics.qvel.at[driven].set(speeds)
+    state = dataclasses.replace(state, physics=dataclasses.replace(state.physics, qvel=qvel))
+    posture = state.physics.qpos[driven] + jnp.array([0.05, 0.0, -0.02])
+    damping = np.array([4.0, 4.0, 1.0]) * (3.0 if body == "tremor" else 1.0)
+    torque = np.array([60.0, 60.0, 25.0]) * [0.05, 0.0, -0.02] - damping * speeds
+    full = 4.0 if body == "weakness" else 10.0
+    np.testing.assert_allclose(Muscles(env).toward(posture, state), torque / full, atol=1e-5)

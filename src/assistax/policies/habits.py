@@ -80,7 +80,7 @@ class Habits:
         since = seconds - habit["delay"]
         awake = (since >= 0.0) & (since % (habit["work"] + habit["rest"]) < habit["work"])
         following = jnp.where(habit["follows"] == 0.0, 0.0, self._reflex.moving(state, habit["follows"]))
-        kept = habit["keeps"] * self._muscles.toward(self._muscles.rest, state.physics)
+        kept = habit["keeps"] * self._muscles.toward(self._muscles.rest, state)
         helping = awake * habit["vigour"] * (habit["offers"] * offered + following + kept)
         noise = habit["noise"] * jax.random.uniform(key, (self._size,), minval=-1.0, maxval=1.0)
         action = jnp.where(afraid, self._reflex.moving(state, -1.0), helping) + noise

@@ -56,6 +56,7 @@ class Muscles:
 
     # By joint, N m/rad and N m s/rad.
     springs: ClassVar = {"neck": (25.0, 4.0), "trunk": (60.0, 4.0), "shoulder": (60.0, 4.0), "elbow": (25.0, 1.0)}
+    tense = 3.0  # times the damping while they tremble, or tool and skin lose each other
 
     def __init__(self, env):
         scene = env.spec.scene
@@ -65,10 +66,13 @@ class Muscles:
         self._full = scenes.HUMAN_TORQUE * scene.human_strength
         self.rest = jnp.asarray(env.model.key("start").qpos[self._ids], jnp.float32)
 
-    def toward(self, posture, physics):
+    def toward(self, posture, state):
         """The action toward a posture [driven] rad."""
-        torque = self._stiffness * (posture - physics.qpos[self._ids]) - self._damping * physics.qvel[self._ids]
-        return jnp.clip(torque / self._full, -1.0, 1.0)
+        person = state.person.disability
+        damping = self._damping * jnp.where(person.tremor > 0.0, self.tense, 1.0)
+        qpos, qvel = state.physics.qpos[self._ids], state.physics.qvel[self._ids]
+        torque = self._stiffness * (posture - qpos) - damping * qvel
+        return jnp.clip(torque / (self._full * person.strength), -1.0, 1.0)
 
 
 class Offer:
@@ -100,7 +104,7 @@ class Offer:
         step = params["speed"] * self.env.dt
         aim = carry["aim"] + missing * jnp.minimum(1.0, step / jnp.maximum(jnp.abs(missing).max(), 1e-6))
         resting = jnp.abs(aim - self.rest).max() < 1e-3  # on the furniture, with loose muscles
-        return jnp.where(resting, 0.0, self._muscles.toward(aim, state.physics)), carry | {"aim": aim}
+        return jnp.where(resting, 0.0, self._muscles.toward(aim, state)), carry | {"aim": aim}
 
 
 class OfferItch(Offer):
