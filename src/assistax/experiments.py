@@ -269,15 +269,10 @@ def _trainings(
 
 
 def _robots(
-    task: str,
-    split: str,
-    steps: int,
-    seeds: int | None,
-    methods: Sequence[str] = SEVERAL,
-    planned: tuple[int, int] = (3, 2),  # seeds of the best response, and of the others
+    task: str, split: str, steps: int, seeds: int | None, methods: Sequence[str] = SEVERAL
 ) -> Iterator[Experiment]:
-    """Seed after seed of all methods."""
-    number = {method: seeds or planned[method != "best-response"] for method in methods}
+    """Seed after seed of all methods: three of the best response, and two of the others."""
+    number = {method: seeds or (3 if method == "best-response" else 2) for method in methods}
     for seed in range(max(number.values())):
         yield from (Robot(task, split, method, seed, steps) for method in methods if seed < number[method])
 
@@ -287,7 +282,6 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     some = ("scratch", "arm_assist", "feeding")
     yield from _trainings("ippo", "default", "", seeds or 5)
     yield from _trainings("ippo", "default", "-preferences", seeds or 3)
-    yield from _robots("scratch-v3", "taught", 4_000_000, seeds, planned=(5, 3))
     yield from _trainings("ippo", "default", "-still", seeds or 3)
     yield from _trainings("ippo", "default", "-keeps_still", seeds or 1, tasks=NEED_TWO)
     yield from _trainings("mappo", "default", "", seeds or 3)
