@@ -302,7 +302,7 @@ def deal(count, postures, worth):
     return ways
 
 
-def offers(task: str, known: list[dict] | None) -> list[dict]:
+def offers(task: str, usual: dict | None = None) -> list[dict]:
     """The ways of offering, the usual first, which may be known."""
     reach = Reach(task)
     limits = reach.model.jnt_range[[reach.model.joint(j).id for j in reach.env.spec.scene.human_driven]]
@@ -326,7 +326,7 @@ def offers(task: str, known: list[dict] | None) -> list[dict]:
             return neighbourhood(scratched(reach, postures))
         return np.mean([washed(reach, postures, sides + d) for d in NEAR], 0)
 
-    if known is None:
+    if usual is None:
         if task == "scratch":
             postures = possible[choose(promising, PLAYED)]
         else:
@@ -335,16 +335,14 @@ def offers(task: str, known: list[dict] | None) -> list[dict]:
         worths = worth(postures)
         chosen = choose(worths, MORE[task])
         tell(postures, worths, chosen)
-        usual = postures[chosen], worths[chosen]
-        if task == "scratch":
-            usual = with_missed(reach, *usual, possible, promising)
-        known = [way(task, *usual)]
-    postures = fresh(np.array(known[0]["postures"]), possible, promising)
+        best = postures[chosen], worths[chosen]
+        usual = way(task, *(with_missed(reach, *best, possible, promising) if task == "scratch" else best))
+    postures = fresh(np.array(usual["postures"]), possible, promising)
     worths = worth(postures)
     dealt = deal(WAYS[task] - 1, postures, worths)
     for chosen in dealt:
         tell(postures, worths, chosen)
-    return [known[0], *(way(task, postures[chosen], worths[chosen]) for chosen in dealt)]
+    return [usual, *(way(task, postures[chosen], worths[chosen]) for chosen in dealt)]
 
 
 def tell(postures, worth, chosen):
@@ -354,6 +352,7 @@ def tell(postures, worth, chosen):
 
 
 if __name__ == "__main__":
-    stored = json.loads(OFFERS.read_text()) if sys.argv[1:] == ["--others"] else {}
-    ways = {task: offers(task, stored.get(task)) for task in ("scratch", "bed_bath")}
+    stored = json.loads(OFFERS.read_text())
+    known = {task: ways[0] for task, ways in stored.items()} if sys.argv[1:] == ["--others"] else {}
+    ways = {task: offers(task, known.get(task)) for task in stored}
     OFFERS.write_text(json.dumps(ways, indent=1) + "\n")

@@ -40,7 +40,7 @@ from assistax.tasks import TASKS, task_spec
 from assistax.teamwork import crossplay
 
 EPISODES = 64
-BESIDE = "expert beside {}"  # a habit
+BESIDE = " beside "  # in the name of a scripted robot and a person with a habit
 BOUNDS = {spec.name: spec.bound for spec in TASKS.values() if spec.version == 0}
 NEWEST, PAPER = ({name: task_spec(f"{name}{which}").id for name in BOUNDS} for which in ("", "-v0"))
 EXPERTS_PAGE = """# Scripted policies
@@ -119,7 +119,7 @@ def measure(path: Path = REFERENCES) -> str:
         wanted += [(policy, {"preference": "sweep"}) for policy in ("expert", "considerate", "offer")]
         wanted += [("offer", {"disability": disability}) for disability in DISABILITIES]
         if task_spec(task).name in NEED_TWO:
-            wanted += [(BESIDE.format(habit), {}) for habit in HABITS]
+            wanted += [(f"expert{BESIDE}{habit}", {}) for habit in HABITS]
         for policy, human in wanted:
             person = {"disability": "none", "preference": "none", "people": "none"} | human
             if json.dumps([task, policy, person]) in known:
@@ -133,11 +133,12 @@ def measure(path: Path = REFERENCES) -> str:
 
 
 def team_of(policy: str, env) -> Team:
-    """A scripted team, or the expert beside a person with a habit."""
-    for habit in HABITS:
-        if policy == BESIDE.format(habit):
-            return {agent: scripted_player(name, env, agent) for agent, name in (("robot", "expert"), ("human", habit))}
-    return scripted_team(policy, env)
+    """A scripted team, or a scripted robot BESIDE a person with a habit."""
+    if BESIDE not in policy:
+        return scripted_team(policy, env)
+    return {
+        agent: scripted_player(name, env, agent) for agent, name in zip(env.agents, policy.split(BESIDE), strict=True)
+    }
 
 
 def experts(records: list[dict[str, Any]]) -> str:
@@ -162,10 +163,10 @@ def experts(records: list[dict[str, Any]]) -> str:
 
     def habits():
         tasks = [NEWEST[task] for task in NEED_TWO]
-        rows = [
-            [f"`{habit}`", *(percent(find(task, BESIDE.format(habit)), safe=True) for task in tasks)]
-            for habit in HABITS
-        ]
+        rows = []
+        for habit in HABITS:
+            reports = [find(task, f"expert{BESIDE}{habit}") for task in tasks]
+            rows.append([f"`{habit}`", *(percent(report, safe=True) for report in reports)])
         return markdown(["person", *tasks], rows)
 
     def nobody(versions):
