@@ -352,6 +352,8 @@ def tell(postures, worth, chosen):
 
 
 if __name__ == "__main__":
+    if sys.argv[1:] not in ([], ["--others"]):
+        sys.exit("python tools/offers.py takes --others or nothing.")
     stored = json.loads(OFFERS.read_text())
     known = {task: ways[0] for task, ways in stored.items()} if sys.argv[1:] == ["--others"] else {}
     ways = {task: offers(task, known.get(task)) for task in stored}
