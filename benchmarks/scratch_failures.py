@@ -44,7 +44,7 @@ def played(run: Run, part: str, itches: int, seed: int, noisy: bool):
             turn, *_ = turns.advance(env, team, params, turn, key)
             s, state = env.sensors(turn.state.physics), turn.state.task
             near = norm(task._to_itch(s, state)) < config.scratch_distance
-            on = near & (norm(task._on_segment(s, state, tool_force)) > TOUCHING)
+            on = near & (norm(task.on_segment(s, state, tool_force)) > TOUCHING)
             return turn, (on, on & (task.tool_speed(s, state) < config.scratch_speed[0]))
 
         turn, (on, slow) = jax.lax.scan(step, turn, jax.random.split(key, env.config.episode_length))

@@ -14,10 +14,11 @@ from assistax.errors import UsageError
 from assistax.evaluation.playing import play
 from assistax.policies import SCRIPTED, Player, scripted_team
 from assistax.policies.experts import expert
-from assistax.policies.experts.controller import way_of_stroke
+from assistax.policies.experts.controller import press_for, way_of_stroke
 from assistax.policies.people import Reflex
 from assistax.scenes import geometry
 from assistax.tasks import TASKS
+from assistax.training import presets
 
 NAMES = ["scratch-v0", "bed_bath-v0", "arm_assist-v0", "feeding-v0", "tooth_brushing-v0"]
 
@@ -156,6 +157,20 @@ def test_the_considerate_expert_is_liked_more(name):
     )
     assert considerate["preference_return"].mean() > 1.05 * plain["preference_return"].mean()
     assert considerate["task_return"].mean() > 0.9 * plain["task_return"].mean()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", presets.TASKS)
+def test_whoever_the_person_is_the_considerate_expert_is_liked_more_and_helps_as_often(name):
+    env = assistax.make(name, engine="mujoco", human={"preference": "sweep"})
+    plain, considerate = (play(env, scripted_team(policy, env), 64)["metrics"] for policy in ("expert", "considerate"))
+    assert considerate["preference_return"].mean() > 1.02 * plain["preference_return"].mean()
+    assert considerate["safe_success"].mean() >= plain["safe_success"].mean() - 0.06
+
+
+@pytest.mark.parametrize(("felt", "pressed"), [(0.0, 6.0), (3.0, 3.0), (5.0, 1.0), (10.0, -4.0)])
+def test_what_is_missing_of_a_force_is_pressed_in_addition(felt, pressed):
+    assert float(press_for(3.0, jnp.array([0.0, -0.6 * felt, 0.8 * felt]))) == pytest.approx(pressed, abs=1e-5)
 
 
 def test_a_considerate_expert_needs_someone_to_consider(envs):

@@ -137,7 +137,7 @@ class Scratch:
         if c.sided:
             around = geometry.arc(to_itch, *self.skin(s, state)[1:], self._radius[state.segment])
             reached = reach(distance + around)
-        speed, force = self.tool_speed(s, state), norm(self._on_segment(s, state, tool_force))
+        speed, force = self.tool_speed(s, state), norm(self.on_segment(s, state, tool_force))
         moving, pressing = boltzmann(speed / c.speed), boltzmann(force / c.force)
         paid = self.helping(s, state) if c.pay_help_only else distance < c.near
         return {
@@ -150,7 +150,7 @@ class Scratch:
         if c.stroke_seconds:
             now = jnp.stack([self.tool_velocity(s, state), s["tool_vel"]])
             state = replace(state, strokes=low_pass(state.strokes, now, self.dt, c.stroke_seconds))
-        speed, force = self.tool_speed(s, state), norm(self._on_segment(s, state, tool_force))
+        speed, force = self.tool_speed(s, state), norm(self.on_segment(s, state, tool_force))
         scratching = norm(self._to_itch(s, state)) < c.scratch_distance
         scratching &= (c.scratch_force[0] <= force) & (force <= c.scratch_force[1])
         scratching &= (c.scratch_speed[0] <= speed) & (speed <= c.scratch_speed[1])
@@ -159,18 +159,18 @@ class Scratch:
     def helping(self, s: Sensors, state: ScratchState):
         """On the itch, touching the segment that it is on."""
         near = norm(self._to_itch(s, state)) < self.config.scratch_distance
-        return near & (norm(self._on_segment(s, state, tool_force)) > TOUCHING)
+        return near & (norm(self.on_segment(s, state, tool_force)) > TOUCHING)
 
     def tool_velocity(self, s: Sensors, state: ScratchState):
         """Seen from the segment with the itch [3], in m/s."""
-        return self._on_segment(s, state, tool_velocity)
+        return self.on_segment(s, state, tool_velocity)
 
     def tool_speed(self, s: Sensors, state: ScratchState):
         """In m/s, as far as it counts: see `ScratchConfig.stroke_seconds`."""
         return norm(state.strokes).min() if self.config.stroke_seconds else norm(self.tool_velocity(s, state))
 
     @staticmethod
-    def _on_segment(s: Sensors, state: ScratchState, of):
+    def on_segment(s: Sensors, state: ScratchState, of):
         """`of(s, part)` for the segment that the itch is on."""
         upper, fore = (of(s, segment) for segment in SEGMENTS)
         return upper if upper is fore else jnp.where(state.segment == 0, upper, fore)

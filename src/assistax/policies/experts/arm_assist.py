@@ -16,7 +16,12 @@ class ArmAssistExpert(Expert):
     pull = 4.0  # m of goal per m that the forearm is away from the waist
     sink = 0.055  # m, of the hook's platform below the forearm's axis while carrying
     speeds = (1.3, 1.0, 0.7, 0.7, 1.3)  # m/s, by phase
-    radius = 0.03  # m, of the circles in which a considerate expert rocks the arm
+    radius = 0.03  # m, of the circles in which a considerate expert rocks an arm
+
+    def manner(self, preference):
+        """Rocking shakes an arm off the hook for moments: that is for who cares more how fast than how firm it is."""
+        manner, (how_fast, how_firm, *_) = super().manner(preference), preference.weights
+        return manner._replace(stroke_speed=jnp.where(how_fast > how_firm, manner.stroke_speed, 0.0))
 
     def initial_carry(self):
         return {"phase": jnp.int32(0), "angle": jnp.float32(0.0)}

@@ -3,10 +3,10 @@
 import jax
 import jax.numpy as jnp
 
-from assistax.policies.experts.controller import Expert, Goal, to_and_fro, turn_to, way_of_stroke
+from assistax.policies.experts.controller import Expert, Goal, press_for, to_and_fro, turn_to, way_of_stroke
 from assistax.scenes import geometry
 from assistax.scenes.geometry import norm
-from assistax.tasks.base import tool_velocity
+from assistax.tasks.base import tool_force, tool_velocity
 from assistax.tasks.rewards import LEVEL, UP
 from assistax.tasks.scratch import SEGMENTS
 
@@ -98,12 +98,14 @@ class BathAroundExpert(Expert):
         if "clock" in s:
             swing, drift = to_and_fro(s["clock"], manner.stroke_speed, self.env.clock)
             drag = 2.0 * self.drag * s["clock"][1]
+            force = press_for(manner.force, jnp.stack([tool_force(s, segment) for segment in SEGMENTS])[part])
         else:
             speed = jnp.stack([tool_velocity(s, segment) for segment in SEGMENTS])[part] @ axis
             way = way_of_stroke(along, speed, self.stroke, self.turning)
             swing = jnp.clip(along, -self.stroke, self.stroke)
             drift = self._about(self.stroke - jnp.abs(along)) * manner.stroke_speed * way
             drag = self.drag * way * jnp.where(jnp.abs(speed) < self.turning, 3.0, 1.0)
+            force = manner.force
         place = spot + swing * axis + least * out
         coming = jnp.clip(3.0 * norm(off), self.land, self.travel)
         return Goal(
@@ -111,7 +113,7 @@ class BathAroundExpert(Expert):
             turn_to(rot, -out),
             speed=jnp.where(moving, 0.8, coming + on_skin * (self.slide - coming)),
             drift=on_skin * drift * axis,
-            press=on_skin * (drag * axis - manner.force * out),
+            press=on_skin * (drag * axis - force * out),
             free=on_skin * out,
         ), carry
 

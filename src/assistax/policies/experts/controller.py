@@ -112,6 +112,11 @@ def at_most(vector: jax.Array, length) -> jax.Array:
     return vector * jnp.minimum(1.0, length / jnp.maximum(norm(vector), 1e-9))
 
 
+def press_for(force, felt):
+    """N to press with where `felt` [3] N is felt instead of `force` N: as much more as is missing, or less."""
+    return force + (force - norm(felt))
+
+
 def circle(angle, radius, stroke_speed, right, up):
     """(offset [3] in m, velocity [3] in m/s) on a circle between two unit vectors; none at speed 0."""
     offset = radius * (stroke_speed > 0) * (jnp.cos(angle) * right + jnp.sin(angle) * up)

@@ -2,9 +2,10 @@
 
 import jax.numpy as jnp
 
-from assistax.policies.experts.controller import Expert, Goal, to_and_fro, turn_to, way_of_stroke
+from assistax.policies.experts.controller import Expert, Goal, press_for, to_and_fro, turn_to, way_of_stroke
 from assistax.scenes import geometry
 from assistax.scenes.geometry import norm
+from assistax.tasks.base import tool_force
 from assistax.tasks.rewards import LEVEL
 
 
@@ -43,17 +44,19 @@ class ScratchExpert(Expert):
         if "clock" in s:
             place, drift = to_and_fro(s["clock"], manner.stroke_speed, self.env.clock)
             drag = 2.0 * self.drag * s["clock"][1]
+            force = press_for(manner.force, t.on_segment(s, task, tool_force))
         else:
             speed = t.tool_velocity(s, task) @ axis
             way = way_of_stroke(along, speed, self.stroke, self.turning)
             place, drift = jnp.clip(along, -self.stroke, self.stroke), manner.stroke_speed * way
             drag = self.drag * way * jnp.where(jnp.abs(speed) < self.turning, 3.0, 1.0)
+            force = manner.force
         spot = itch + place * axis
         return Goal(
             spot - least * stick,
             turn_to(rot, stick),
             speed=jnp.where(on_skin, 0.1, 0.3),
             drift=jnp.where(on_skin, drift, 0.0) * axis,
-            press=jnp.where(on_skin, -manner.force, 0.0) * normal + jnp.where(on_skin, drag, 0.0) * axis,
+            press=jnp.where(on_skin, -force, 0.0) * normal + jnp.where(on_skin, drag, 0.0) * axis,
             free=jnp.where(on_skin, 1.0, 0.0) * normal,
         ), carry

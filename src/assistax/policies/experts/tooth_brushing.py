@@ -2,14 +2,18 @@
 
 import jax.numpy as jnp
 
-from assistax.policies.experts.controller import Expert, Goal, circle
+from assistax.policies.experts.controller import Expert, Goal, circle, press_for
 from assistax.scenes import geometry
 from assistax.scenes.geometry import norm
+from assistax.tasks.base import tool_force
 from assistax.tasks.rewards import LEVEL, UP
 
 
 class ToothBrushingExpert(Expert):
-    """Brush level and across the mouth, bristles on it, in small circles."""
+    """Brush level and across the mouth, bristles on it, in small circles.
+
+    Faster circles than its own throw the brush off the teeth, so that a considerate one corrects the force it feels.
+    """
 
     radius = 0.012  # m, of the circles
     stroke_speed = 0.045
@@ -32,11 +36,14 @@ class ToothBrushingExpert(Expert):
         there = carry["there"] | (aligned & (norm(front - pos) < 0.02))
         near = there & (norm(mouth - pos) < 0.04)
         angle = carry["angle"] + near * manner.stroke_speed * self.env.dt / self.radius
+        force = self.share * manner.force
+        if self.considerate:
+            force = jnp.where(near, press_for(manner.force, tool_force(s, "head")), force)
         offset, stroke = circle(angle, self.radius, manner.stroke_speed, left, UP)
         return Goal(
             jnp.where(there, mouth + near * offset, front),
             turned,
             drift=near * stroke,
-            press=jnp.where(there, -self.share * manner.force, 0.0) * ahead,
+            press=jnp.where(there, -force, 0.0) * ahead,
             free=jnp.where(there, 1.0, 0.0) * ahead,
         ), {"angle": angle, "there": there}
