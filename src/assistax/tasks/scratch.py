@@ -234,6 +234,7 @@ _BY_STROKES = replace(
     version=3,
     scene=replace(_NEARER.scene, throat=True),
     config=replace(_NEARER.config, stroke_seconds=0.1),
+    expert="assistax.policies.experts.scratch:ScratchByStrokesExpert",
 )
 
 SPECS = (_PAPER, _HELPING, _NEARER, _BY_STROKES)
