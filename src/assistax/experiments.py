@@ -282,7 +282,6 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     some = ("scratch", "arm_assist", "feeding")
     yield from _trainings("ippo", "default", "", seeds or 5)
     yield from _trainings("ippo", "default", "-preferences", seeds or 3)
-    yield from _robots("scratch-v3", "taught", 4_000_000, seeds)
     yield from _trainings("ippo", "default", "-still", seeds or 3)
     yield from _trainings("ippo", "default", "-keeps_still", seeds or 1, tasks=NEED_TWO)
     yield from _trainings("mappo", "default", "", seeds or 3)
@@ -293,6 +292,7 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     for algorithm in ("ippo-rnn", "mappo-rnn"):
         yield from _trainings(algorithm, "default", "", seeds or 2, tasks=some)
     yield from _trainings("masac", "default", "", seeds or 3, tasks=some)
+    yield from _robots("scratch-v3", "taught", 4_000_000, seeds)  # whose people are to be trained anew
     yield from _of_former_versions(seeds)
     yield from _of_the_paper(seeds or 1)
 
