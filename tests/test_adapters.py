@@ -54,7 +54,7 @@ def actions(env, i, n=2):
 
 def test_a_population_brings_its_people_along():
     """As itself, and by name; what else the person is stays the user's to say."""
-    people = Population.scripted("scratch-v3", Person("weakness", "default"), ("shy", "offers"))
+    people = Population.scripted("scratch-v3", [Person("weakness", "default")], ("shy", "offers"))
     one = AgentEnv("scratch-v3", partner=people, human={"visibility": "human"}, **SETTINGS)
     assert one._batch.env.config.human.people == people.people
     assert one.observation_space.shape == AgentEnv("scratch-v3", partner="still", **SETTINGS).observation_space.shape

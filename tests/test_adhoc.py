@@ -184,7 +184,7 @@ def test_robots_that_have_met_a_held_out_partner_are_refused(robots, tmp_path):
     other = stored_run(tmp_path / "other", configure("scratch", SETTINGS), seed=1)
     assert [knows(run, member) for run in (learned, robot, other)] == [[True], [True], [False]]
 
-    people = Population.scripted("scratch-v3", Person("none", "default"), ("shy", "follows"))
+    people = Population.scripted("scratch-v3", [Person("none", "default")], ("shy", "follows"))
     went_on = Population.of_teams([(row | {"taught": "offer"}, learned.teams(deterministic=False)[0])])
     beside = stored_run(tmp_path / "beside", configure("scratch", SETTINGS, partners=(f"human={tmp_path}/other",)))
     another = stored_run(tmp_path / "another", configure("scratch", SETTINGS, seed=5), seed=1)
@@ -197,19 +197,22 @@ def test_robots_that_have_met_a_held_out_partner_are_refused(robots, tmp_path):
 def test_players_from_python_are_told_by_what_they_do(population, two_kinds, tmp_path):
     """Members of two architectures and somebody with a habit, given as one player."""
     strangers = population.select(population.ids[3:])
-    people = Population.scripted("scratch-v3", Person("tremor", "default"), ("shy", "follows"))
+    people = Population.scripted("scratch-v3", [Person("tremor", "default")], ("shy", "follows"))
     among = Population.merge([two_kinds, population.select(population.ids[:2]), people.select(people.ids[:1])])
     settings = {k: v for k, v in SETTINGS.items() if "human" not in k} | {"env.human.people": among.people}
     config = configure("scratch", settings)
     given = {"human": among.partner("human", env=meeting(among).env)}
     run = Run.create(config, tmp_path / "run", players=given)
     assert all(knows(run, among)) and not any(knows(run, strangers))
-    assert knows(run, Population.scripted("scratch-v3", Person("none", "default"), ("shy", "follows"))) == [True, False]
+    assert knows(run, Population.scripted("scratch-v3", [Person("none", "default")], ("shy", "follows"))) == [
+        True,
+        False,
+    ]
 
 
 def test_everybodys_own_robot_may_be_of_another_architecture(population, two_kinds):
     """And somebody may have none."""
-    people = Population.scripted("scratch-v3", Person("none", "default"), ("shy",))
+    people = Population.scripted("scratch-v3", [Person("none", "default")], ("shy",))
     mixed = Population.merge([population.select(population.ids[:2]), people, two_kinds])
     everybody, own = meeting(mixed), meeting(mixed).references()["own"]["return"]
     assert np.isnan(own[2]).all() and np.isfinite(own[[0, 1, 3, 4]]).all()
@@ -328,7 +331,7 @@ def test_best_responses_are_references_for_those_whom_they_know(robots):
 def test_partners_without_a_robot_are_no_obstacle_to_the_others(population, robots):
     """People with habits have none: beside them nobody is a reference for 1."""
     root, made = robots
-    people = Population.scripted("scratch-v3", Person("none", "default"), ("shy",))
+    people = Population.scripted("scratch-v3", [Person("none", "default")], ("shy",))
     strangers = [splits.named(f"{root}/pop:random/{part}")[1].ids[0] for part in ("val", "test")]
     mixed = Population.merge([people, population.select(strangers)])
     found = report({"oracle": [made["oracle"]]}, {"test": mixed}, episodes=1)["test"]
@@ -419,11 +422,13 @@ def test_partners_matter_where_no_single_robot_serves_all():
 
     own = [[110, 10, 10], [10, 110, 10], [10, 10, 110]]
     apart = verdict(own, np.eye(3))
-    assert apart["valid"] and apart["lost"] == {"return": 1.0, "success": 1.0}
+    assert apart["matters_in"] == ["return", "success"] and apart["lost"] == {"return": 1.0, "success": 1.0}
     assert apart["best_single"]["success"]["mean"] == pytest.approx(1 / 3)
     everybody = {"return": np.full(3, 105.0), "success": np.full(3, 0.95)}
     served = verdict(own, np.eye(3), mine=everybody)
-    assert not served["valid"] and "one robot, mine, succeeds with all in 95%, and who knows" in served["why"]
+    assert (
+        not served["valid"] and "one robot, mine, has 95% with all, who knows the partner, their own" in served["why"]
+    )
     assert served["best_single"]["return"] == {"robot": "mine", "mean": 105.0}
     assert verdict(own, np.eye(3), expert=everybody)["valid"]  # who is told everything does not compete
     less = {"return": np.full(3, 10 + 100 / 1.11), "success": nothing}
@@ -438,6 +443,20 @@ def test_partners_matter_where_no_single_robot_serves_all():
     assert not alike["valid"] and "cross-play loses" in alike["why"] and "one robot, member 0" in alike["why"]
     nobody = verdict(np.full((3, 3), 10), np.zeros((3, 3)))
     assert not nobody["valid"]
+
+
+def test_partners_may_matter_in_how_they_like_it_alone():
+    """By hand: all robots succeed with all people, who like one thing each; a middling robot has half of all."""
+    ones, likes = np.ones((3, 3)), 100.0 * np.eye(3)
+    matrix = {"return": 500 + likes, "success": ones, "gated_return": 500 + likes, "gated_preference_return": likes}
+    still = {name: np.zeros(3) for name in matrix}
+    found = judge(matrix, {"still": still})
+    assert found["matters_in"] == ["gated_preference_return"] and found["lost"]["gated_preference_return"] == 1.0
+    middling = {name: x[0] for name, x in matrix.items()} | {"gated_preference_return": np.full(3, 91.0)}
+    found = judge(matrix, {"still": still, "middling": middling})
+    assert not found["valid"] and "one robot, middling, has 91 with all" in found["why"]
+    middling["gated_preference_return"] = np.full(3, 100 / 1.11)
+    assert judge(matrix, {"still": still, "middling": middling})["valid"]
 
 
 # -- several episodes in a row --------------------------------------------------------------------

@@ -90,6 +90,32 @@ def test_who_keeps_still_resists_like_springs_and_dampers(env):
     np.testing.assert_allclose(action, [-(60 * 0.02 + 4 * 0.1) / 10, (60 * 0.05 - 4 * 0.5) / 10, -1.0], atol=1e-5)
 
 
+@pytest.mark.parametrize(("before", "force", "shown"), [(5.0, 0.0, -1), (3.7, 0.0, 0), (3.4, 6.0, -1), (1.5, 0.0, 1)])
+def test_who_shows_what_they_like_draws_back_from_too_much_and_leans_into_too_little(env, before, force, shown):
+    """Liked are 1.5 to 3.5 N. Felt is what was, but for the 0.008 s / 0.1 s of it in which what is now takes its place:
+    of 5 N that end 4.6, of 3.7 N 3.40, of 3.4 N that become 6 3.61, of 1.5 N that end 1.38."""
+    shows = person(env, "shows")
+    params = jax.tree.map(lambda x: x[0], shows.params) | {"offers": jnp.float32(0.0)}
+    _, state = jax.jit(env.reset)(jax.random.key(4))
+    sensed = state.physics.sensordata.at[scenes.sensor_slices(env.model)["tool_force"]].set(jnp.array([0, 0, force]))
+    state = dataclasses.replace(state, physics=dataclasses.replace(state.physics, sensordata=sensed))
+    carry = shows.policy.initial_carry() | {"felt": jnp.float32(before)}
+    action, after = shows.policy.act(params, carry, state, jnp.bool_(False), jax.random.key(1))
+    np.testing.assert_allclose(after["felt"], before + 0.08 * (force - before), rtol=1e-5)
+    expected = Reflex(env, 1.0).moving(state, 0.25 * shown) if shown else np.zeros_like(action)
+    np.testing.assert_allclose(action, expected, atol=1e-6)
+    forgotten = shows.policy.act(params, carry, state, jnp.bool_(True), jax.random.key(1))[1]["felt"]
+    np.testing.assert_allclose(forgotten, 0.08 * force, rtol=1e-5)
+
+
+def test_nobody_shows_what_nobody_touches(env):
+    shows = person(env, "shows")
+    params = jax.tree.map(lambda x: x[0], shows.params) | {"offers": jnp.float32(0.0)}
+    _, state = jax.jit(env.reset)(jax.random.key(4))
+    carry = shows.policy.initial_carry() | {"felt": jnp.float32(0.1)}
+    assert not shows.policy.act(params, carry, state, jnp.bool_(False), jax.random.key(1))[0].any()
+
+
 def test_vigour_and_noise(moment):
     follower = Habit(offers=0.0, follows=-1.0, vigour=0.2)
     action, *_, back = moment(follower)

@@ -106,6 +106,8 @@ def test_every_habit_is_taught_as_often_and_another_with_another_seed():
     assert taught["0000-ippo-0"] == ("robot=expert", "human=offers") == taught["0001-ippo-1"]
     assert taught["0000-ippo-1"] == ("robot=expert", "human=shy") == taught["0003-ippo-0"]
     assert sorted(x[1] for x in taught.values()) == ["human=offers"] * 4 + ["human=shy"] * 4
+    ((_, liking),) = Plan("scratch", (Person("none", "default"),), taught=("offers",)).jobs()
+    assert liking.method.teachers == ("robot=considerate", "human=offers")
     with pytest.raises(UsageError, match="Unknown habit 'offer'"):
         Plan("scratch", people, taught=("offer",))
     with pytest.raises(UsageError, match="Only PPO can be taught habits: leave out --taught or masac"):

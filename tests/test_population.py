@@ -18,6 +18,7 @@ from assistax.errors import UsageError
 from assistax.evaluation import play
 from assistax.evaluation.playing import Evaluator, summarize
 from assistax.human import Person
+from assistax.human.disability import DISABILITIES
 from assistax.learning.normalizer import RunningStats
 from assistax.learning.partners import Partners
 from assistax.learning.ppo import PPO, PPOConfig
@@ -319,7 +320,7 @@ def test_everybody_of_several_kinds_acts_as_alone(population, scratch):
     params = other.policy_params(jax.jit(other.init)(jax.random.key(7)))
     row = dict(population[0]) | {"seed": 9}
     gru = Population.of_teams([(row, {agent: Player.of(other.policy(False), params[agent]) for agent in params})])
-    scripted = Population.scripted(scratch.name, population.people[0], ("offers", "random"))
+    scripted = Population.scripted(scratch.name, [population.people[0]], ("offers", "random"))
     everybody = Population.merge([population, scripted, gru, population])
     assert len(everybody) == len(population) + 3 and len(set(everybody.ids)) == len(everybody)
     mixed = everybody.partner("human", deterministic=True, env=scratch)
@@ -423,7 +424,16 @@ def test_some_are_drawn_and_populations_are_listed(folder, population, tmp_path,
     assistax_command("population", "sample", f"{folder}:random/train", "--number", 2, "--out", out, "--habits")
     found = Population.load(out)
     assert len([one for one in found.ids if one in parts["train"]]) == 2 and len(found) == 2 + len(HABITS)
-    assert Population.scripted(found.task, found.people[0]).ids == found.ids[2:]
+    assert Population.scripted(found.task, [found.people[0]]).ids == found.ids[2:]
+    scripted = tmp_path / "scripted"
+    asked = ["scripted", "scratch-v0", "--habits", "shows,shows_second_way", "--people", "8x3", "--out", scripted]
+    assert "48 members of scratch-v0" in assistax_command("population", *asked).stdout
+    assert {(row["habit"], row["person"]["disability"]) for row in Population.load(scripted).rows} == {
+        (habit, body) for habit in asked[3].split(",") for body in ("none", *DISABILITIES)
+    }
+    parts = splits.split(Population.load(scripted), "habit")  # two habits: one to train, one to test with
+    assert [len(parts[name]) for name in ("train", "val", "test")] == [24, 0, 24]
+    shutil.rmtree(scripted)
     head, *rows = assistax_command("population", "list", tmp_path).stdout.splitlines()
     assert head.split() == ["population", "task", "members", "people", "size"]
     assert [row.split()[:4] for row in rows] == [
@@ -463,7 +473,7 @@ def test_a_member_for_each_person_or_one_line(population, scratch):
     people = {"people": population.people[:2]}
     env = assistax.make("scratch-v0", engine="mujoco", episode_length=3, human=people)
     still = Player(scripted_policy("still", scratch, "robot"))
-    mixed = Population.merge([population, Population.scripted(scratch.name, Person(), ("shy",))])
+    mixed = Population.merge([population, Population.scripted(scratch.name, [Person()], ("shy",))])
     for one, number in ((population, 6), (mixed, 7)):
         player = one.partner("human", env=env)
         for play_with in (
@@ -529,7 +539,7 @@ def test_a_population_is_a_partner_by_name(teams, tmp_path, monkeypatch):
     monkeypatch.setattr(loop, "film", lambda *_, **__: None)
     folder = tmp_path / "pop"
     everybody = Population.of_teams([(row | {"task": "scratch-v0"}, team) for row, team in teams])
-    scripted = Population.scripted("scratch-v0", everybody.people[0], ("offers", "still"))
+    scripted = Population.scripted("scratch-v0", [everybody.people[0]], ("offers", "still"))
     Population.merge([everybody, scripted]).save(folder)
     assistax_command("population", "split", folder, "--kind", "algorithm")
     sizes = ["--set", *(f"{k}={v}".replace(" ", "") for k, v in BRIEF.items())]
@@ -571,7 +581,7 @@ def test_robots_meet_everybody_of_a_population(teams, tmp_path, capsys):
     """A column for each member, as if nobody else were there."""
     folder, run = tmp_path / "pop", stored_run(tmp_path / "run", small("scratch-v0"))
     everybody = Population.of_teams([(row | {"task": "scratch-v0"}, team) for row, team in teams])
-    Population.merge([everybody, Population.scripted("scratch-v0", Person("tremor"), ("shy",))]).save(folder)
+    Population.merge([everybody, Population.scripted("scratch-v0", [Person("tremor")], ("shy",))]).save(folder)
     splits.save(splits.path_of(folder, "random"), parts := splits.split(everybody, "random"))
     members = everybody.select(parts["train"])
     options = "--partner", f"human={folder}:random/train", "--episodes", 3

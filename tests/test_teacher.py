@@ -155,6 +155,11 @@ def test_the_default_preset_of_version_1_has_teachers():
     # The scripted robot plays with torques.
     assert configure("feeding", {"env.control": "position"}).method.teachers == both[1:]
     assert configure("feeding", {"ppo.teachers": ()}).method.teachers == ()
+    # Who likes something is helped as they like it by the considerate robot, unless another was asked for.
+    liking = {"env.human.preference": "default"}
+    assert configure("feeding", liking).method.teachers == ("robot=considerate", "human=offer")
+    assert configure("feeding", liking | {"ppo.teachers": both}).method.teachers == both
+    assert configure("feeding", liking, algorithm="masac").algorithm == "masac"
     # People of a population would all be alike if one script had taught them.
     plan = Plan("feeding", (Person(),), ("ippo", "masac"))
     (_, alone), (_, _) = plan.jobs()

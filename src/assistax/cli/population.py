@@ -107,6 +107,31 @@ def make(folder: Folder, runs: Others, *, habits: Switch = False) -> None:
     _save(gather(Run.open(run) for run in runs), folder, habits)
 
 
+def scripted(
+    task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")],
+    *,
+    habits: str,
+    out: Path,
+    people: str = "8x3",
+) -> None:
+    """Make a population of people who follow scripts: each person with each habit. Nothing is trained.
+
+    For example:
+      assistax population scripted scratch --habits shows,shows_second_way --out populations/showing
+
+    Args:
+      task: what to do together.
+      habits: with commas, see docs/populations.md.
+      out: folder of the population.
+      people: who, as in `population train`.
+    """
+    from assistax.human import variety
+    from assistax.tasks import task_spec
+    from assistax.training.population import Population
+
+    _save(Population.scripted(task_spec(task).id, variety.people(people), habits.split(",")), out)
+
+
 def merge(folder: Folder, populations: Others) -> None:
     """Put populations of one task together; who is in two of them is in it once.
 
@@ -276,7 +301,7 @@ def _save(made, folder: Path, habits: bool = False) -> None:
     from assistax.training.population import Population
 
     if habits:
-        made = Population.merge([made, Population.scripted(made.task, made.people[0])])
+        made = Population.merge([made, Population.scripted(made.task, [made.people[0]])])
     made.save(folder)
     print(f"{len(made)} members of {made.task} in {folder}")
 
@@ -291,6 +316,7 @@ def _shard(text: str | None) -> tuple[int, int]:
 COMMANDS = {
     "train": train,
     "make": make,
+    "scripted": scripted,
     "merge": merge,
     "sample": sample,
     "list": list_,

@@ -186,8 +186,9 @@ def validity(
 ) -> None:
     """Ask whether partners matter in a task: what robots lose when they meet each other's people.
 
-    They matter if cross-play loses a fifth of self-play's return (above a still robot's) or success, and everybody's
-    own robot, or an oracle, has a tenth more than the best single robot with all of them.
+    They matter if cross-play loses a fifth of self-play's success, return (above a still robot's) or preference return,
+    and everybody's own robot, or an oracle, has a tenth more of it than the best single robot with all of them. What
+    preferences pay counts in episodes that succeed.
 
     For example:
       assistax teamwork validity populations/scratch-v1 --sample 16 --robots best-response=runs/br
@@ -207,16 +208,17 @@ def validity(
     _check(out)
     known, told = (_named(texts) if texts else {} for texts in (robots, oracles))
     found = validity_of(Population.load(population), episodes, sample, robots=known, oracles=told)
-    for name in ("return", "success", "safe_success"):
+    for name in found["matrix"]:
         own, cross = found["self_play"][name], found["cross_play"][name]
         print(
-            f"{name.replace('_', ' '):14} self-play {own:.3g}, cross-play {cross:.3g}, lost {found['lost'][name]:.0%}; "
+            f"{name.replace('_', ' '):24} self-play {own:.3g}, cross-play {cross:.3g}, lost {found['lost'][name]:.0%}; "
             f"best single robot, {found['best_single'][name]['robot']}: {found['best_single'][name]['mean']:.3g}; "
             f"who knows the partner, {found['best_knowing'][name]['robot']}: {found['best_knowing'][name]['mean']:.3g}"
         )
     expert = found["others"]["expert"]["success"]
     print(f"The scripted expert, who knows all that the simulator does, succeeds in {sum(expert) / len(expert):.0%}.")
-    print("Partners matter in this task." if found["valid"] else f"Not valid for ad-hoc scores: {found['why']}")
+    where = " and ".join(found["matters_in"]).replace("_", " ")
+    print(f"Partners matter, in {where}." if found["valid"] else f"Not valid for ad-hoc scores: {found['why']}.")
     if out is not None:
         write_json(out, found)
         matrix_picture(found, out.with_suffix(".png"))

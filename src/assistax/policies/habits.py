@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax.errors import choose
+from assistax.human.preference import TOUCH
 from assistax.policies.people import Muscles, Reflex, offer
 from assistax.policies.player import Player, stack
 
@@ -31,6 +32,8 @@ class Habit:
     near: float = 0.3  # m, what is near to them
     vigour: float = 1.0  # of their strength, what they use
     noise: float = 0.0  # of full action, uniform, afresh at every step
+    shows: float = 0.0  # the force, as a part of Reflex.pull, away from a tool that presses harder than they like, and
+    # toward one that touches them more softly than they like
 
 
 HABITS = {
@@ -53,7 +56,14 @@ HABITS = {
     "offers_and_follows": Habit(follows=0.3),
     "restless": Habit(noise=0.3),
     "withdraws": Habit(offers=0.0, follows=-1.0),
+    "shows": Habit(shows=0.25),
+    "shows_second_way": Habit(shows=0.25, way=1.0),
+    "shows_third_way": Habit(shows=0.25, way=2.0),
+    "shows_fourth_way": Habit(shows=0.25, way=3.0),
 }
+
+
+FEELING = 0.1  # s, over which a force is felt
 
 
 class Habits:
@@ -67,7 +77,7 @@ class Habits:
         self._size = env.action_sizes["human"]
 
     def initial_carry(self):
-        return {"steps": jnp.int32(0), "offer": self._offer.initial_carry()}
+        return {"steps": jnp.int32(0), "felt": jnp.float32(0.0), "offer": self._offer.initial_carry()}
 
     def act(self, habit, carry, state, reset, key):
         steps = jnp.where(reset, 0, carry["steps"])
@@ -83,8 +93,13 @@ class Habits:
         kept = habit["keeps"] * self._muscles.toward(self._muscles.rest, state)
         helping = awake * habit["vigour"] * (habit["offers"] * offered + following + kept)
         noise = habit["noise"] * jax.random.uniform(key, (self._size,), minval=-1.0, maxval=1.0)
-        action = jnp.where(afraid, self._reflex.moving(state, -1.0), helping) + noise
-        return jnp.clip(action, -1.0, 1.0), {"steps": steps + 1, "offer": own}
+        felt = jnp.where(reset, 0.0, carry["felt"])
+        felt += self.env.dt / FEELING * (jnp.linalg.norm(s["tool_force"]) - felt)
+        least, most = state.person.preference.force
+        missing = jnp.where(felt > most, -1.0, jnp.where((felt > TOUCH) & (felt < least), 1.0, 0.0))
+        shown = jnp.where(missing == 0.0, 0.0, self._reflex.moving(state, habit["shows"] * missing))
+        action = jnp.where(afraid, self._reflex.moving(state, -1.0), helping + shown) + noise
+        return jnp.clip(action, -1.0, 1.0), {"steps": steps + 1, "felt": felt, "offer": own}
 
 
 def person(env, names: tuple[str, ...] | str, by_person: bool = False) -> Player:

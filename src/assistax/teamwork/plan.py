@@ -74,7 +74,8 @@ class Plan:
                     start = UNTAUGHT if ALGORITHMS[algorithm].group == "ppo" else {}
                     if self.taught:  # every person another habit with another seed, every habit as often
                         habit = self.taught[(i + seed) % len(self.taught)]
-                        start = {"ppo.teachers": ("robot=expert", f"human={habit}")}
+                        robot = "expert" if person.preference == "none" else "considerate"
+                        start = {"ppo.teachers": (f"robot={robot}", f"human={habit}")}
                     settings = {"snapshots": True} | start | dict(self.settings) | who
                     choices = {"algorithm": algorithm, "seed": seed, "steps": self.steps, "num_envs": self.num_envs}
                     yield name, configure(self.task, settings, **choices)

@@ -16,7 +16,9 @@ from assistax.teamwork.adhoc import CONSIDERATE, HARM, HURT, NOBODYS, RATES
 Pairs = Mapping[str, np.ndarray]
 """By measure [seeds, partners]."""
 
-SCORES = {"score": "return", "gated_score": "gated_return"}  # and what each is of
+SCORES = {"score": "return", "gated_score": "gated_return", "preference_score": "gated_preference_return"}
+"""And what each is of."""
+
 REGRETS = {"regret": "return", "safe_regret": "safe_success"}
 SHARES = (*RATES, *HURT)  # from 0 to 1
 LESS = (*HARM, *REGRETS)  # of these less is better
@@ -41,7 +43,7 @@ class Scale:
 
         A robot knows the partners with whom its returns are numbers, see `adhoc.only`.
         """
-        means = {name: _gated(found)[measure].mean(1) for name, found in references.items()}
+        means = {name: gated(found)[measure].mean(1) for name, found in references.items()}
         zero = np.max([means[name] for name in NOBODYS], 0)
         known = [mean for name, mean in means.items() if name not in (*NOBODYS, CONSIDERATE)]
         return cls(zero, np.fmax.reduce([np.full_like(zero, np.nan), *known]))
@@ -68,7 +70,7 @@ class Scale:
 
 def scales(references: Mapping[str, Pairs]) -> dict[str, Scale]:
     """By measure the Scale that these references give, for SCORES and REGRETS."""
-    there = _gated(next(iter(references.values())))
+    there = gated(next(iter(references.values())))
     measures = dict.fromkeys((*SCORES.values(), *REGRETS.values()))
     return {measure: Scale.of(references, measure) for measure in measures if measure in there}
 
@@ -85,7 +87,7 @@ def by_pair(seeds: Sequence[Pairs], scales: Mapping[str, Scale] | None = None) -
       the task succeeded, and "gated_return" with it in place of the preference return; SCORES, if FEWEST partners are
       scored, NaN with the others; REGRETS, NaN with partners whom nobody knows.
     """
-    each, scales = [_gated(one) for one in seeds], scales or {}
+    each, scales = [gated(one) for one in seeds], scales or {}
     found = {name: np.stack([one[name].mean(1) for one in each]) for name in each[0]}
     for name, measure in SCORES.items():
         if measure in scales and scales[measure].enough:
@@ -132,8 +134,8 @@ def difference(ours: Pairs, theirs: Pairs) -> dict[str, Any]:
     return found
 
 
-def _gated(found: Pairs) -> dict[str, np.ndarray]:
-    """With what preferences pay counted only where the task succeeded, if there are preferences."""
+def gated(found: Pairs) -> dict[str, np.ndarray]:
+    """With what preferences pay counted only in episodes in which the task succeeded, if there are preferences."""
     if "preference_return" not in found:
         return dict(found)
     gated = found["preference_return"] * found["success"]

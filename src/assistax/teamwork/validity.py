@@ -20,14 +20,16 @@ from assistax.settings import with_settings
 from assistax.stamp import stamp
 from assistax.teamwork.adhoc import Meeting
 from assistax.teamwork.report import Meetings
+from assistax.teamwork.scores import gated
 from assistax.teamwork.strangers import check_robots
 from assistax.training.clock import progress_bar
 from assistax.training.population import Population
 from assistax.training.run import Run
 
-MEASURES = ("return", "success", "safe_success")
+MEASURES = ("return", "success", "safe_success", "gated_return", "gated_preference_return")
 LOST = 0.2  # of self-play's return above a still robot's, or of its success: what cross-play must lose at least
 GAINED = 0.1  # what everybody's own robot must have more than the best single one, of what that one has
+JUDGED = ("return", "success"), ("gated_return", "success", "gated_preference_return")  # without preferences, with them
 
 
 def validity_of(
@@ -60,9 +62,9 @@ def validity_of(
     with progress_bar(number * number * episodes * env.episode_length, 0) as bar:
         for one in population.ids:
             robot = population.select([one]).partner("robot", deterministic=True, by_person=False)
-            found.append(meeting(robot, seed))
+            found.append(gated(meeting(robot, seed)))
             bar.update(number * episodes * env.episode_length)
-    others = {name: meeting.scripted(name, seed) for name in ("still", "expert")}
+    others = {name: gated(meeting.scripted(name, seed)) for name in ("still", "expert")}
     others |= _by_seed(robots or {}, population, episodes, seed)
     told = _by_seed(oracles or {}, population, episodes, seed)
     others |= told
@@ -92,7 +94,7 @@ def _by_seed(
     for name, runs in robots.items():
         check_robots(runs, {"everybody": population})
         meetings = Meetings(runs[0].config, population, episodes)
-        seeds = [one for run in runs for one in meetings(run, seed)]
+        seeds = [gated(one) for run in runs for one in meetings(run, seed)]
         found |= {f"{name} {i}" if len(seeds) > 1 else name: one for i, one in enumerate(seeds)}
     return found
 
@@ -103,7 +105,8 @@ def judge(
     """Whether partners matter.
 
     Args:
-      matrix: by measure [robots, people], who belong together on the diagonal; returns and success at least.
+      matrix: by measure [robots, people], who belong together on the diagonal; returns and success at least, and with
+        preferences those of `scores.gated`.
       others: by robot and measure [people], "still" among them; "expert", who is told all that the simulator knows, is
         no competitor.
       oracles: those of the others who are told who the person is.
@@ -111,14 +114,13 @@ def judge(
     Returns:
       by measure the means of "self_play" and "cross_play", what is "lost" from one to the other, what one robot reaches
       on average that is the "best_single" one by this measure, and the same of the "best_knowing" one, an oracle or
-      everybody's own robot; returns are above the still robot's in "lost" and in comparisons. "valid" if LOST and
-      GAINED hold, each in return or in success; "why" not.
+      everybody's own robot; returns are above the still robot's in "lost" and in comparisons. "matters_in", the
+      measures of JUDGED in which LOST and GAINED both hold; "valid" if there is one; "why" not.
     """
     own = np.eye(len(matrix["return"]), dtype=bool)
     self_play = {name: float(x[own].mean()) for name, x in matrix.items()}
     cross_play = {name: float(x[~own].mean()) for name, x in matrix.items()}
-    still = others["still"]["return"].mean()
-    zero = {name: float(still) if name == "return" else 0.0 for name in matrix}
+    zero = {name: 0.0 if "success" in name else float(others["still"][name].mean()) for name in matrix}
     lost = {name: _lost(self_play[name] - zero[name], cross_play[name] - zero[name]) for name in matrix}
     robots: dict[str, Mapping[str, np.ndarray]] = {
         f"member {i}": {name: x[i] for name, x in matrix.items()} for i in range(len(own))
@@ -126,22 +128,15 @@ def judge(
     robots |= {name: one for name, one in others.items() if name not in ("still", "expert", *oracles)}
     knowing = {name: others[name] for name in oracles} | {"their own": {name: x[own] for name, x in matrix.items()}}
     best, best_knowing = ({name: _best(those, name) for name in matrix} for those in (robots, knowing))
-    judged = ("return", "success")
-    why = []
-    if max(lost[name] for name in judged) < LOST:
+    matters, why = [], []
+    for name in JUDGED["gated_return" in matrix]:
+        most, single = best_knowing[name]["mean"] - zero[name], best[name]["mean"] - zero[name]
+        if lost[name] >= LOST - 1e-9 and most >= (1 + GAINED) * single - 1e-9 and most > 0.0:
+            matters.append(name)
         why.append(
-            f"cross-play loses {lost['return']:.0%} of the return and {lost['success']:.0%} of the success, "
-            f"less than {LOST:.0%} of both: robots serve strangers as well as whom they know"
-        )
-    gained = {
-        name: best_knowing[name]["mean"] - zero[name] - (1 + GAINED) * (best[name]["mean"] - zero[name])
-        for name in judged
-    }
-    if not any(gained[name] >= -1e-9 and best_knowing[name]["mean"] > zero[name] for name in judged):
-        one, other = best["success"], best_knowing["success"]
-        why.append(
-            f"one robot, {one['robot']}, succeeds with all in {one['mean']:.0%}, and who knows the partner, "
-            f"{other['robot']}, in {other['mean']:.0%}, not {GAINED:.0%} more: who it is need not be known"
+            f"in {name.replace('_', ' ')} cross-play loses {lost[name]:.0%}, and one robot, {best[name]['robot']}, has "
+            f"{_number(name, best[name]['mean'])} with all, who knows the partner, {best_knowing[name]['robot']}, "
+            f"{_number(name, best_knowing[name]['mean'])}"
         )
     return {
         "self_play": self_play,
@@ -149,8 +144,9 @@ def judge(
         "lost": lost,
         "best_single": best,
         "best_knowing": best_knowing,
-        "valid": not why,
-        "why": "; ".join(why),
+        "matters_in": matters,
+        "valid": bool(matters),
+        "why": "" if matters else "; ".join(why),
     }
 
 
@@ -183,6 +179,10 @@ def matrix_picture(found: Mapping[str, Any], path: Path) -> None:
             axes.set_ylabel("robot of member")
             figure.colorbar(shown, ax=axes, shrink=0.8)
         figure.savefig(path, dpi=150)
+
+
+def _number(measure: str, x: float) -> str:
+    return f"{x:.0%}" if "success" in measure else f"{x:.0f}"
 
 
 def _lost(own: float, cross: float) -> float:

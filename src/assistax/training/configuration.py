@@ -114,8 +114,9 @@ def check_settings(settings: Iterable[str]) -> None:
 def configure(task: str, settings: dict[str, Any], recurrent=False, share_parameters=False, **choices) -> TrainConfig:
     """A TrainConfig from a task's preset, then `choices` (fields), then `settings` ("ppo.gamma": 0.98).
 
-    With a population as the human's partner, the people are its members unless the settings have others. Who begins
-    with another run's networks is not taught what they know, and explores as little as they did in the end.
+    With a population as the human's partner, the people are its members unless the settings have others. Where people
+    have preferences a preset's scripted robot is the considerate one. Who begins with another run's networks is not
+    taught what they know, and explores as little as they did in the end.
     """
     check_settings(settings)
     settings = people_of(choices.get("partners") or ()) | settings
@@ -141,7 +142,11 @@ def configure(task: str, settings: dict[str, Any], recurrent=False, share_parame
     fields: dict[str, Any] = {"num_envs": num_envs(name, algorithm.name), "method": method} | given
     config = TrainConfig(spec.id, task_config=spec.config, **fields)
     resolve_engine(config.engine)
-    return with_settings(config, settings)
+    config = with_settings(config, settings)
+    if "ppo.teachers" not in settings and config.group == "ppo" and config.env.human.preferring:
+        shown = (one.replace("robot=expert", "robot=considerate") for one in config.method.teachers)
+        config = with_settings(config, {"ppo.teachers": tuple(shown)})
+    return config
 
 
 def people_of(partners: Iterable[str | Population]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ import hashlib
 import json
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -130,10 +131,10 @@ class Population:
         return cls(tuple(rows), policies, weights)
 
     @classmethod
-    def scripted(cls, task: str, person: Person, names: Iterable[str] = tuple(HABITS)) -> "Population":
-        """People with the habits of these names, all with one body and one preference; they have no robot."""
+    def scripted(cls, task: str, people: Iterable[Person], names: Iterable[str] = tuple(HABITS)) -> "Population":
+        """Each of some people with each of the habits of these names; they have no robot."""
         rows = []
-        for name in names:
+        for person, name in product(people, names):
             row: dict[str, Any] = {"task": task, "algorithm": SCRIPTED, "seed": 0, "steps": 0, "robot": False, "row": 0}
             row |= {"person": dataclasses.asdict(person), "architecture": SCRIPTED}
             row["habit"] = choose("habit", name, HABITS)
@@ -339,7 +340,7 @@ def _hash(params: dict[str, Any], row: dict[str, Any]) -> str:
     who = [row["task"], row["person"], row["seed"], row["steps"]]
     if row["architecture"] == SCRIPTED:
         habit = vars(HABITS[choose("habit", row["habit"], HABITS)])
-        who.append({k: v for k, v in habit.items() if (k, v) != ("way", 0.0)})  # ids are older than ways
+        who.append({k: v for k, v in habit.items() if k not in ("way", "shows") or v})  # ids are older than these
     found = hashlib.sha256(json.dumps(who).encode())
     for name, array in sorted(_flat(params).items()):
         found.update(f"{name} {array.dtype} {array.shape} ".encode())

@@ -83,6 +83,11 @@ def by_teaching(population: Population, rng: np.random.Generator) -> Split:
     return _groups(population, rng, lambda row: row.get("taught", ""), "taught")
 
 
+def by_habit(population: Population, rng: np.random.Generator) -> Split:
+    """Whole habits are left out of training; who has none is one of them."""
+    return _groups(population, rng, lambda row: row.get("habit", ""), "habit")
+
+
 KINDS: dict[str, Callable[[Population, np.random.Generator], Split]] = {
     "random": random,
     "extreme": extreme,
@@ -92,6 +97,7 @@ KINDS: dict[str, Callable[[Population, np.random.Generator], Split]] = {
     "preference": by_preference,
     "algorithm": by_algorithm,
     "taught": by_teaching,
+    "habit": by_habit,
 }
 
 
