@@ -20,7 +20,7 @@ from assistax.policies import Player, Still, scripted_policy
 from assistax.teamwork.adaptation import Series, about, probe, slope, summarize_series
 from assistax.teamwork.adhoc import Meeting, draws
 from assistax.teamwork.report import meeting_env, picture, report
-from assistax.teamwork.scores import Scale
+from assistax.teamwork.scores import SCORES, Scale
 from assistax.teamwork.strangers import knows
 from assistax.teamwork.validity import judge, with_robots
 from assistax.training import splits
@@ -366,7 +366,7 @@ def test_the_report_has_everybody(robots, tmp_path):
         assert set(found[part]["references"]) == {"still", "random", "expert", "considerate", "own"}
         for one in found[part]["methods"].values():
             assert np.shape(one["return"]["by_pair"]) == (2, len(found["partners"][part]))
-        assert set(found[part]["differences"]) == {"oracle"} and set(found[part]["scored"]) == {"score", "gated_score"}
+        assert set(found[part]["differences"]) == {"oracle"} and set(found[part]["scored"]) == set(SCORES)
     assert set(found["gap"]) == {"br", "oracle"}
 
 

@@ -119,6 +119,31 @@ def test_the_papers_population_is_the_same_on_every_machine():
     assert hashlib.sha256(content).hexdigest() == "072fd3803173cd0fad4811f33a4b3c808de9a1b338889929cc01f9c15cdef81f"
 
 
+def best_for_all(wanted) -> tuple[float, float, float]:
+    """The speed and force with which one robot earns most with all of some preferences, and what share of all there is
+    it earns: the paper's formulas in NumPy, on a grid of 0.005 m/s by 0.1 N."""
+    speed, force, weights = (np.array([getattr(one, name) for one in wanted]) for name in ("speed", "force", "weights"))
+    shares = weights[:, :2] / weights[:, :2].sum(1, keepdims=True)
+
+    def liked(x, least, most):
+        width = (most - least) / 2
+        return np.where((least <= x) & (x <= most), 1.0, np.exp(-((x - (least + most) / 2) ** 2) / (2 * width**2)))
+
+    grid = [(v, f) for v in np.arange(0.0, 0.2, 0.005) for f in np.arange(0.0, 5.0, 0.1)]
+    return max(((shares[:, 0] * liked(v, *speed.T) + shares[:, 1] * liked(f, *force.T)).mean(), v, f) for v, f in grid)
+
+
+def test_one_way_of_helping_pleases_nearly_all_of_the_papers_people_and_not_those_of_opposite_tastes():
+    """docs/humans.md: why populations have a gentle and a brisk preference."""
+    papers = [preference.parse(person.preference) for person in population.people("paper630")]
+    share, speed, force = best_for_all(papers)
+    assert (round(speed, 3), round(force, 1)) == (0.08, 2.0) and share == pytest.approx(0.967, abs=0.001)
+    inside = [p.speed[0] <= speed <= p.speed[1] and p.force[0] <= force <= p.force[1] for p in papers]
+    assert np.mean(inside) == pytest.approx(0.905, abs=0.001)
+    share, *_ = best_for_all([preference.parse(words) for words in variety.PREFERENCES.values()])
+    assert share == pytest.approx(0.728, abs=0.001)
+
+
 def test_words_and_numbers_are_the_same_people():
     people = population.profiles()
     for here, there in zip(jax.tree.leaves(stack(unstack(people))), jax.tree.leaves(people), strict=True):

@@ -10,10 +10,11 @@ import numpy as np
 from assistax.files import read_json
 from assistax.formats import SPLIT, VALIDITY
 from assistax.results.comparison import markdown
-from assistax.teamwork.portrait import by_person
+from assistax.teamwork.portrait import by_person, short, taste
 from assistax.teamwork.validity import matrix_picture
 from assistax.training.population import MANIFEST, Population
 
+PAID = "gated_preference_return"
 PAGE = """# The people who come with the project
 
 [Populations](populations.md) of people who learned with a robot of their own. Written from `populations/` and
@@ -25,8 +26,8 @@ robots reach that meet them.
 ONE = """## {task}
 
 `populations/{task}` has {members} people with their robots{others}, by {algorithms}, {steps}.
-What each reaches with its own robot, safe success and, in brackets, the return; columns are preferences, and the
-[script](populations.md#conventions) that the person imitated at first, if any:
+What each reaches with its own robot, safe success and, in brackets, the return; columns are preferences, or the
+[script](populations.md#conventions) that the person imitated at first:
 
 {self_play}
 {splits}
@@ -36,16 +37,18 @@ CROSSPLAY = """
 
 {pairs} of the episodes succeed with one's own robot, {crossed} with the others' ({number} robots by {number} people,
 {episodes} episodes of each pair). The best single robot, {who}, has {single} with all of them, the scripted
-one, which is told everything, {expert}. {verdict}
+one, which is told everything, {expert}.{liked} {verdict}
 
 ![Who works with whom](images/crossplay_{task}.png)
 {ways}"""
+LIKED = """ What preferences pay in episodes that succeed is {pairs} on average with one's own robot, {crossed} with the
+others', and {single} with {who}."""
 WAYS = """
-Success by what the people were taught; on the diagonal, too, robot and person have not learned together:
+{measure} by what the people {are}; on the diagonal, too, robot and person have not learned together:
 
 {table}
 
-Safe success by what robot and person have in common:
+What robot and person have in common:
 
 {kinds}
 """
@@ -89,66 +92,106 @@ def _sizes(path: Path) -> str:
 def _crossplay(population: Population, found: Mapping[str, Any], pictures: Path) -> str:
     matrix_picture(found, pictures / f"crossplay_{population.task}.png")
     rows = {row["id"]: row for row in population.rows}
-    expert, best = found["others"]["expert"]["success"], found["best_single"]["success"]["robot"]
+    expert, best = found["others"]["expert"]["success"], found["best_single"]["success"]
+    liked = ""
+    if PAID in found["self_play"]:
+        numbers = {
+            name: f"{found[where][PAID]:.0f}" for name, where in (("pairs", "self_play"), ("crossed", "cross_play"))
+        }
+        single = found["best_single"][PAID]
+        liked = LIKED.format(
+            **numbers, single=f"{single['mean']:.0f}", who=_who(single["robot"], "the best single robot")
+        )
     return CROSSPLAY.format(
         task=population.task,
         pairs=f"{found['self_play']['success']:.0%}",
         crossed=f"{found['cross_play']['success']:.0%}",
         number=len(found["ids"]),
         episodes=found["episodes"],
-        single=f"{found['best_single']['success']['mean']:.0%}",
-        who="one of these" if best.startswith("member") else f"`{best}`",
+        single=f"{best['mean']:.0%}",
+        who=_who(best["robot"], "one of these"),
         expert=f"{sum(expert) / len(expert):.0%}",
+        liked=liked,
         verdict=_verdict(found),
-        ways=_by_way([rows[one] for one in found["ids"]], found["matrix"]),
+        ways=_by_taste([rows[one] for one in found["ids"]], found["matrix"]),
     )
+
+
+def _who(robot: str, member: str) -> str:
+    return member if robot.startswith("member") else f"`{robot}`"
 
 
 def _verdict(found: Mapping[str, Any]) -> str:
     """Whether partners matter, and by which numbers; see `validity.judge`."""
     if not found["valid"]:
         return f"Partners do not matter: {found['why']}."
-    lost = max(("return", "success"), key=lambda name: found["lost"][name])
-    still = np.mean(found["others"]["still"]["return"])
-    gains = {}
-    for name, zero in (("return", still), ("success", 0.0)):
+    said = []
+    for name in found.get("matters_in", ("success",)):
+        zero = 0.0 if name == "success" else np.mean(found["others"]["still"][name])
         best, knowing = (found[who][name]["mean"] - zero for who in ("best_single", "best_knowing"))
-        gains[name] = knowing / best - 1 if best > 0 else np.inf
-    gained = max(gains, key=lambda name: gains[name])
-    knowing = found["best_knowing"][gained]["robot"]
-    who = "everybody's own robot" if knowing == "their own" else f"the robot `{knowing}`"
-    above = {"return": " (above a still robot's)", "success": ""}
-    more = f"{gains[gained]:.0%} more" if np.isfinite(gains[gained]) else "some"
-    return (
-        f"Partners matter in this task: cross-play loses {found['lost'][lost]:.0%} of {lost}{above[lost]}, and\n"
-        f"{who} has {more} {gained}{above[gained]} than the best single robot."
+        robot = found["best_knowing"][name]["robot"]
+        who = "everybody's own robot" if robot == "their own" else f"the robot `{robot}`"
+        more = f"{knowing / best - 1:.0%} more" if best > 0 else "some"
+        above = " (above a still robot's)" if zero else ""
+        said.append(
+            f"in {name.replace('_', ' ')}{above} cross-play loses {found['lost'][name]:.0%}, and {who} has {more} than "
+            f"the best single robot"
+        )
+    return f"Partners matter: {'; '.join(said)}."
+
+
+def _by_taste(rows: list[Mapping[str, Any]], matrix: Mapping[str, Any]) -> str:
+    """Tables of the means over pairs, the first without those who learned together; "" if all like the same and were
+    taught the same."""
+    tastes = list(map(taste, rows))
+    kinds = list(dict.fromkeys(tastes))
+    if len(kinds) < 2:
+        return ""
+    measure = PAID if PAID in matrix else "success"
+    apart = np.where(np.eye(len(rows), dtype=bool), np.nan, np.array(matrix[measure]))
+    of = {kind: np.array([one == kind for one in tastes]) for kind in kinds}
+    table = []
+    for mine in kinds:
+        pairs = [apart[np.ix_(of[mine], of[theirs])] for theirs in kinds]
+        table.append([_words(mine), *("" if np.isnan(x).all() else _number(measure, np.nanmean(x)) for x in pairs)])
+    return WAYS.format(
+        measure="What preferences pay in episodes that succeed," if measure == PAID else "Success",
+        are="like" if _liking(rows) else "were taught",
+        table=markdown(["robot of / person of", *map(_words, kinds)], table),
+        kinds=_by_kind(rows, matrix),
     )
 
 
-def _by_way(rows: list[Mapping[str, Any]], matrix: Mapping[str, Any]) -> str:
-    """Tables of the means over pairs, the first without those who learned together; "" if nobody was taught."""
-    taught, success = [row.get("taught", "") for row in rows], np.array(matrix["success"])
-    ways = [way for way in dict.fromkeys(taught) if way]
-    if len(ways) < 2:
-        return ""
-    apart = np.where(np.eye(len(success), dtype=bool), np.nan, success)
-    of = {way: np.array([one == way for one in taught]) for way in ways}
-    table = []
-    for mine in ways:
-        pairs = [apart[np.ix_(of[mine], of[theirs])] for theirs in ways]
-        table.append([mine, *("" if np.isnan(x).all() else f"{np.nanmean(x):.0%}" for x in pairs)])
-    return WAYS.format(table=markdown(["robot of / person of", *ways], table), kinds=_by_kind(rows, matrix))
-
-
 def _by_kind(rows: list[Mapping[str, Any]], matrix: Mapping[str, Any]) -> str:
-    """A table of who learned together, and of the others by whether body and way are the same."""
-    bodies, ways = [row["person"]["disability"] for row in rows], [row.get("taught", "") for row in rows]
+    """A table of who learned together, and of the others by whether body and taste are the same."""
+    bodies, tastes = [row["person"]["disability"] for row in rows], list(map(taste, rows))
+    measures = [name for name in ("safe_success", PAID) if name in matrix]
+    shared = (
+        ("who like the same", "who like something else")
+        if _liking(rows)
+        else ("taught the same way", "taught another way")
+    )
     together = np.eye(len(rows), dtype=bool)
-    body, way = (np.equal.outer(np.array(x), np.array(x)) for x in (bodies, ways))
+    body, way = (np.equal.outer(np.array(x), np.array(x)) for x in (bodies, tastes))
     kinds = {"learned together": together}
     for same_body, words in ((True, "the same body"), (False, "another body")):
-        for same_way, taught in ((True, "taught the same way"), (False, "taught another way")):
+        for same_way, taught in zip((True, False), shared, strict=True):
             kinds[f"learned apart, {words}, {taught}"] = ~together & (body == same_body) & (way == same_way)
-    safe = np.array(matrix["safe_success"])
-    cells = [[name, str(there.sum()), f"{safe[there].mean():.0%}"] for name, there in kinds.items() if there.any()]
-    return markdown(["robot and person", "pairs", "safe success"], cells)
+    cells = [
+        [name, str(there.sum()), *(_number(one, np.array(matrix[one])[there].mean()) for one in measures)]
+        for name, there in kinds.items()
+        if there.any()
+    ]
+    return markdown(["robot and person", "pairs", *(name.replace("_", " ") for name in measures)], cells)
+
+
+def _liking(rows: list[Mapping[str, Any]]) -> bool:
+    return any(row["person"]["preference"] != "none" for row in rows)
+
+
+def _words(kind: str) -> str:
+    return " ".join(short(kind).split())
+
+
+def _number(measure: str, x: float) -> str:
+    return f"{x:.0%}" if "success" in measure else f"{x:.0f}"

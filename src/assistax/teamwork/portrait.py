@@ -1,5 +1,6 @@
 """A picture of a population: who there is, and what they reach with the robots that they learned with."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ MANY = 12  # columns, up to which cells are labelled
 
 
 def portrait(population: Population, path: Path) -> None:
-    """Safe success and return in self-play, a row for each body, a column for each preference and way that was taught.
+    """Safe success and return in self-play, a row for each body, a column for each preference, or way that was taught.
 
     A cell is the mean over the algorithms and seeds of this person; nobody is there where it is empty.
     """
@@ -37,7 +38,7 @@ def portrait(population: Population, path: Path) -> None:
             if len(tastes) <= MANY:
                 axes.set_xticks(range(len(tastes)), tastes, fontsize=7)
             else:
-                axes.set_xlabel(f"{len(tastes)} preferences and ways")
+                axes.set_xlabel(f"{len(tastes)} preferences")
             axes.set_yticks(range(len(bodies)), bodies)
             axes.set_title(titles[name])
             axes.grid(visible=False)
@@ -46,7 +47,8 @@ def portrait(population: Population, path: Path) -> None:
 
 
 def by_person(population: Population) -> tuple[list[str], list[str], dict[str, np.ndarray]]:
-    """Bodies, preferences with what was taught, and safe success and return in self-play [bodies, preferences].
+    """Bodies, preferences (what was taught where nobody has one), and safe success and return in self-play [bodies,
+    preferences].
 
     NaN where nobody is. Raises UsageError if nobody says what it reaches.
     """
@@ -54,16 +56,22 @@ def by_person(population: Population) -> tuple[list[str], list[str], dict[str, n
     if not rows:
         raise UsageError("No member of this population says what it reaches; there is nothing to draw.")
     bodies = list(dict.fromkeys(row["person"]["disability"] for row in rows))
-    tastes = list(dict.fromkeys(map(_taste, rows)))
+    tastes = list(dict.fromkeys(map(taste, rows)))
     cells: dict[str, np.ndarray] = {}
     for name in ("safe_success_rate", "mean_return"):
         cells[name] = np.full((len(bodies), len(tastes)), np.nan)
         for i, body in enumerate(bodies):
-            for j, taste in enumerate(tastes):
-                mine = [r[name] for r in rows if (r["person"]["disability"], _taste(r)) == (body, taste) and name in r]
+            for j, one in enumerate(tastes):
+                mine = [r[name] for r in rows if (r["person"]["disability"], taste(r)) == (body, one) and name in r]
                 if mine:
                     cells[name][i, j] = np.mean(mine)
-    return bodies, [_short(*taste) for taste in tastes], cells
+    return bodies, list(map(short, tastes)), cells
+
+
+def taste(row: Mapping[str, Any]) -> str:
+    """The preference of a manifest's row, or what was taught where there is none."""
+    preference = row["person"]["preference"]
+    return row.get("taught", "none") if preference == "none" else preference
 
 
 def _measured(population: Population) -> list[dict[str, Any]]:
@@ -71,12 +79,7 @@ def _measured(population: Population) -> list[dict[str, Any]]:
     return [row for row in population.rows if "fraction" not in row and "mean_return" in row]
 
 
-def _taste(row) -> tuple[str, str]:
-    return row["person"]["preference"], row.get("taught", "")
-
-
-def _short(preference: str, taught: str) -> str:
-    """The name of a preference that has one, else its words below each other, and what was taught if anything was."""
-    named = {words: name for name, words in PREFERENCES.items()}.get(preference, preference.replace(" ", "\n"))
-    way = taught.replace("_", " ").replace(" way", "\nway")
-    return way if taught and preference == "none" else "\n".join(filter(None, (named, way)))
+def short(taste: str) -> str:
+    """The name of a preference that has one, else words below each other."""
+    named = {words: name for name, words in PREFERENCES.items()}.get(taste, taste.replace(" ", "\n"))
+    return named.replace("_", " ").replace(" way", "\nway")

@@ -28,7 +28,7 @@ from assistax.training.configuration import TrainConfig, configure, to_json
 from assistax.training.population import Population
 from assistax.training.run import Run
 
-SHOWN = ("score", "gated_score", "return", "regret", "success", "safe_success", "gated_preference_return")
+SHOWN = (*SCORES, "return", "regret", "success", "safe_success", "gated_preference_return")
 
 
 def report(
