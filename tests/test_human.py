@@ -495,6 +495,15 @@ def test_people_by_how_many_bodies_and_preferences():
     assert len(four) == len(set(four)) == 28 and [one.disability for one in four[::4]] == list(DISABILITIES)
     assert {one.preference for one in four[3::4]} == {drawn[0].preference}
     assert variety.people("paper630") == drawn and len(set(variety.people("8x93"))) == 8 * 93
-    for name, said in (("8x94", "1 to 93 preferences"), ("7x0", "1 to 93"), ("9x3", "Known: 8x3, 8, 7x4, paper630")):
+    opposite = variety.people("opposite")
+    assert [one.disability for one in opposite[::2]] == bodies == [one.disability for one in opposite[1::2]]
+    gentle = [one.preference == variety.PREFERENCES["gentle"] for one in opposite]
+    assert sum(gentle) == 8 and all(a != b for a, b in zip(gentle[::2], gentle[1::2], strict=True))
+    assert [sum(gentle[way::4]) for way in range(4)] == [2, 2, 2, 2]  # of four people with each way
+    for name, said in (
+        ("8x94", "1 to 93 preferences"),
+        ("7x0", "1 to 93"),
+        ("9x3", "Known: 8x3, 8, 7x4, opposite, paper630"),
+    ):
         with pytest.raises(UsageError, match=said):
             variety.people(name)

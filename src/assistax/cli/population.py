@@ -42,7 +42,8 @@ def train(
       task: what to do together.
       out: folder of the population.
       people: who: 8x3 (healthy and the seven standard disabilities, by three preferences), 7x4 (without the healthy, by
-        one preference more), 8 or 7 (without preferences), paper630, or a JSON file as for env.human.people.
+        one preference more), 8 or 7 (without preferences), opposite (the eight, gentle and brisk), paper630, or a JSON
+        file as for env.human.people.
       algorithm: one, or several with commas: ippo,mappo,masac.
       steps: of each training (default 5 million).
       seeds: of each person and algorithm (default 1).

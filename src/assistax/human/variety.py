@@ -13,6 +13,7 @@ PREFERENCES = {  # one that is met by most ways of helping well, a gentle one an
     "gentle": "speed=0.03:0.07 force=0.8:2 weights=0.35,0.3,-0.03",
     "brisk": "speed=0.12:0.2 force=2.5:4.5 weights=0.4,0.3,-0.01",
 }
+OPPOSITE = "opposite"  # the people of this name
 MOST = len(PREFERENCES) + population.DRAWS
 
 
@@ -22,14 +23,20 @@ def people(name: str | Path) -> tuple[Person, ...]:
     Args:
       name: "8x3", healthy and the seven standard disabilities, each by three preferences: the three of PREFERENCES;
         "7x4", without the healthy, and by the paper's first drawn preference as well, and so on; "8" or "7", without
-        preferences; "paper630"; or a JSON file, see `population.people`.
+        preferences; "opposite", the eight by a gentle and a brisk preference, in an order in which each of four ways
+        that are taught in turn is as often taught to the gentle as to the brisk; "paper630"; or a JSON file, see
+        `population.people`.
 
     Raises:
       UsageError: there are no such people.
     """
+    if name == OPPOSITE:
+        tastes = [PREFERENCES["gentle"], PREFERENCES["brisk"]]
+        bodies = enumerate(("none", *DISABILITIES))
+        return tuple(Person(body, one) for i, body in bodies for one in tastes[:: (1, -1, -1, 1)[i % 4]])
     if not (found := re.fullmatch(r"([78])(?:x(\d{1,3}))?", str(name))):
         if name != population.PAPER and Path(name).suffix != ".json":
-            choose("people", str(name), ["8x3", "8", "7x4", population.PAPER, "a file named *.json"])
+            choose("people", str(name), ["8x3", "8", "7x4", OPPOSITE, population.PAPER, "a file named *.json"])
         return population.people(name)
     bodies = ("none", *DISABILITIES)[-int(found[1]) :]
     if found[2] is None:
