@@ -20,7 +20,8 @@ from assistax.files import write_json
 from assistax.scenes import geometry
 from assistax.stamp import stamp
 
-COUNTED = {"feeding-v1": "mouth_seconds", "feeding-v2": "mouth_seconds", "tooth_brushing-v1": "brush_seconds"}
+COUNTED = {f"feeding-v{version}": "mouth_seconds" for version in (1, 2, 3)}
+COUNTED |= {f"tooth_brushing-v{version}": "brush_seconds" for version in (1, 2)}
 
 
 def nearest(env, s):

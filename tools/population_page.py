@@ -23,9 +23,9 @@ robots reach that meet them.
 
 {each}
 """
-ONE = """## {task}
+ONE = """## {name}
 
-`populations/{task}` has {members} people with their robots{others}, by {algorithms}, {steps}.
+`populations/{name}` has {members} people with their robots{others}, by {algorithms}, {steps}.
 What each reaches with its own robot, safe success and, in brackets, the return; columns are preferences, or the
 [script](populations.md#conventions) that the person imitated at first:
 
@@ -39,7 +39,7 @@ CROSSPLAY = """
 {episodes} episodes of each pair). The best single robot, {who}, has {single} with all of them, the scripted
 one, which is told everything, {expert}.{liked} {verdict}
 
-![Who works with whom](images/crossplay_{task}.png)
+![Who works with whom](images/{picture})
 {ways}"""
 LIKED = """ What preferences pay in episodes that succeed is {pairs} on average with one's own robot, {crossed} with the
 others', and {single} with {who}."""
@@ -70,9 +70,9 @@ def _one(folder: Path, results: Path, pictures: Path) -> str:
         table.append([body, *("" if np.isnan(x) else f"{x:.0%} ({r:.0f})" for x, r in zip(safe, returns, strict=True))])
     steps = sorted({row["steps"] / 1e6 for row in rows if "habit" not in row})
     splits = [f"`{path.stem}` ({_sizes(path)})" for path in sorted((folder / "splits").glob("*.json"))]
-    found = results / population.task / "validity.json"
+    found = results / folder.name / "validity.json"
     return ONE.format(
-        task=population.task,
+        name=folder.name,
         members=len(rows) - habits,
         others=f", {earlier} earlier selves of them" * (earlier > 0) + f", {habits} people with habits" * (habits > 0),
         algorithms=", ".join(sorted({row["algorithm"] for row in rows if "habit" not in row})).upper(),
@@ -80,7 +80,9 @@ def _one(folder: Path, results: Path, pictures: Path) -> str:
         self_play=markdown(["body", *(re.sub(r"\s+", " ", taste) for taste in tastes)], table),
         splits=f"\nSplits, with how many are to train, to develop and to test with: {', '.join(splits)}.\n"
         * bool(splits),
-        crossplay=_crossplay(population, read_json(found, VALIDITY), pictures) if found.exists() else "",
+        crossplay=_crossplay(population, read_json(found, VALIDITY), pictures / f"crossplay_{folder.name}.png")
+        if found.exists()
+        else "",
     )
 
 
@@ -89,8 +91,8 @@ def _sizes(path: Path) -> str:
     return ", ".join(str(len(parts[name])) for name in ("train", "val", "test"))
 
 
-def _crossplay(population: Population, found: Mapping[str, Any], pictures: Path) -> str:
-    matrix_picture(found, pictures / f"crossplay_{population.task}.png")
+def _crossplay(population: Population, found: Mapping[str, Any], picture: Path) -> str:
+    matrix_picture(found, picture)
     rows = {row["id"]: row for row in population.rows}
     expert, best = found["others"]["expert"]["success"], found["best_single"]["success"]
     liked = ""
@@ -103,7 +105,7 @@ def _crossplay(population: Population, found: Mapping[str, Any], pictures: Path)
             **numbers, single=f"{single['mean']:.0f}", who=_who(single["robot"], "the best single robot")
         )
     return CROSSPLAY.format(
-        task=population.task,
+        picture=picture.name,
         pairs=f"{found['self_play']['success']:.0%}",
         crossed=f"{found['cross_play']['success']:.0%}",
         number=len(found["ids"]),

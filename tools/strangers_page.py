@@ -26,7 +26,7 @@ who knows them; still, random and expert know nobody, the last one being told al
 
 {each}
 """
-ONE = """## {task}, {title}
+ONE = """## {population}, {title}
 
 {train} people to train with and {test} strangers, {episodes} episodes with each. {scored}
 
@@ -36,7 +36,7 @@ Safe success with strangers by who they are:
 
 {kinds}
 
-![Safe success with people of training and strangers](images/strangers_{task}_{name}.png)"""
+![Safe success with people of training and strangers](images/{picture})"""
 
 
 def page(results: Path, pictures: Path) -> str:
@@ -56,11 +56,13 @@ def _any(path: Path) -> Mapping[str, Any]:
 
 
 def _one(found: Mapping[str, Any], name: str, pictures: Path) -> str:
-    picture(found, pictures / f"strangers_{found['task']}_{name}.png")
+    population = found.get("population", found["task"])
+    place = pictures / f"strangers_{population}_{name}.png"
+    picture(found, place)
     split, _, about = name.partition("-")
     return ONE.format(
-        task=found["task"],
-        name=name,
+        population=population,
+        picture=place.name,
         title=f"split `{split}`" + (f": {about}" if about else ""),
         train=len(found["partners"]["train"]),
         test=len(found["partners"]["test"]),
@@ -84,7 +86,15 @@ def _table(found: Mapping[str, Any]) -> str:
     first = next(iter(part["methods"]))
     scores = [name for name, partners in part["scored"].items() if sum(partners) >= FEWEST]
     head = ["robot", "seeds", "safe, of training", "safe, strangers", "gap", "gap of regret", f"beside {first}"]
-    head += ["worst tenth", *(name.replace("_", " ") for name in scores), "return", "clamped", "hit", "peak force, N"]
+    liked = [name for name in ("gated_preference_return",) if name in next(iter(part["methods"].values()))]
+    head += [
+        "worst tenth",
+        *(name.replace("_", " ") for name in (*scores, *liked)),
+        "return",
+        "clamped",
+        "hit",
+        "peak force, N",
+    ]
     rows = []
     for group in ("references", "methods"):
         known, strange = found["train"][group], part[group]
@@ -98,7 +108,9 @@ def _table(found: Mapping[str, Any]) -> str:
             row.append(_number(less["safe_success"], "+.0%") if less and group == "methods" else "")
             row.append(f"{one['safe_success']['worst']:.0%}")
             row += [_number(one[score], ".2f") if score in one else "" for score in scores]
-            row += [_number(one["return"], ".0f"), *(f"{one[hurt]['mean']:.0%}" for hurt in ("clamping", "impact"))]
+            row += [_number(one[name], ".0f") for name in (*liked, "return")] + [
+                *(f"{one[hurt]['mean']:.0%}" for hurt in ("clamping", "impact"))
+            ]
             rows.append([*row, f"{one['peak_force']['mean']:.0f}"])
     return markdown(head, rows)
 

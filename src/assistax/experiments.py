@@ -93,17 +93,20 @@ METHODS = {
     "oracle": Method(settings={"env.human.visibility": "oracle"}),
     "hidden": Method(settings={"env.human.visibility": "human"}),
     "gru": Method(recurrent=True),
+    "gru-hidden": Method(settings={"env.human.visibility": "human"}, recurrent=True),
     "gru-stays": Method(settings=STAYS, recurrent=True),
     "gru-stays-hidden": Method(settings=STAYS | {"env.human.visibility": "human"}, recurrent=True),
     "oracle-gru": Method(settings=STAYS | {"env.human.visibility": "oracle"}, recurrent=True),
     "liam": Method(settings={"ppo.partner_code": 16}),
     "randomised": Method("offers"),
     "self-play": Method(""),
+    "self-play-hidden": Method("", {"env.human.visibility": "human"}),
     "e3t": Method("", {"env.human.random_share": 0.25}),
     "sac": Method(algorithm="isac"),
 }
 SEVERAL = ("best-response", "untaught", "asymmetric", "fcp", "oracle", "gru", "gru-stays", "liam", "randomised")
 SEVERAL += ("self-play", "e3t")
+TASTES = ("hidden", "best-response", "self-play-hidden", "gru-hidden", "gru-stays-hidden", "oracle")  # what people like
 HIDDEN = ("hidden", "gru-stays-hidden", "oracle-gru")  # who must find out what a person likes, and who is told
 
 
@@ -166,7 +169,7 @@ class Training:
 class Robot:
     """One seed of a robot that learns beside people of a population of ours, to meet others of it."""
 
-    task: str  # with its version
+    population: str  # folder below `populations/`
     split: str
     method: str  # key of METHODS
     seed: int
@@ -175,7 +178,7 @@ class Robot:
 
     @property
     def name(self) -> str:
-        return f"teamwork/{self.task}/runs/{self.split}-{self.method}-{self.steps // 1_000_000}M-{self.seed}"
+        return f"teamwork/{self.population}/runs/{self.split}-{self.method}-{self.steps // 1_000_000}M-{self.seed}"
 
     def progress(self, work: Path) -> float:
         return _share_of(work, self.steps)
@@ -186,14 +189,15 @@ class Robot:
         from assistax.training.run import Run
 
         if not (work / "config.json").exists():
-            method, population = METHODS[self.method], f"populations/{self.task}:{self.split}"
+            method, population = METHODS[self.method], f"populations/{self.population}:{self.split}"
             settings, partners = dict(method.settings), (f"human={population}/{method.beside}",)
+            _, people = splits.named(f"{population}/train")
             if not method.beside.startswith("train"):
-                settings["env.human.people"] = splits.named(f"{population}/train")[1].people
+                settings["env.human.people"] = people.people
                 partners = (f"human={method.beside}",) if method.beside else ()
             choices: dict[str, Any] = {"algorithm": method.algorithm, "recurrent": method.recurrent}
             choices |= {"partners": partners, "steps": self.steps, "seed": self.seed}
-            Run.create(configure(self.task, settings, **choices), work)
+            Run.create(configure(people.task, settings, **choices), work)
         return _train(work, seconds, PLAYABLE)
 
 
@@ -269,12 +273,12 @@ def _trainings(
 
 
 def _robots(
-    task: str, split: str, steps: int, seeds: int | None, methods: Sequence[str] = SEVERAL
+    population: str, split: str, steps: int, seeds: int | None, methods: Sequence[str] = SEVERAL
 ) -> Iterator[Experiment]:
     """Seed after seed of all methods: three of the best response, and two of the others."""
     number = {method: seeds or (3 if method == "best-response" else 2) for method in methods}
     for seed in range(max(number.values())):
-        yield from (Robot(task, split, method, seed, steps) for method in methods if seed < number[method])
+        yield from (Robot(population, split, method, seed, steps) for method in methods if seed < number[method])
 
 
 def experiments(seeds: int | None = None) -> Iterator[Experiment]:
@@ -292,7 +296,8 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     for algorithm in ("ippo-rnn", "mappo-rnn"):
         yield from _trainings(algorithm, "default", "", seeds or 2, tasks=some)
     yield from _trainings("masac", "default", "", seeds or 3, tasks=some)
-    yield from _robots("scratch-v3", "taught", 4_000_000, seeds)  # whose people are to be trained anew
+    yield from _robots("scratch-v3-tastes", "interpolate", 4_000_000, seeds or 2, TASTES)
+    yield from _robots("scratch-v3", "taught", 4_000_000, seeds, ("best-response", "self-play"))
     yield from _of_former_versions(seeds)
     yield from _of_the_paper(seeds or 1)
 
