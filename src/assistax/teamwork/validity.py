@@ -18,7 +18,7 @@ from assistax.evaluation.playing import EVALUATION_SEED
 from assistax.results.figures import STYLE
 from assistax.settings import with_settings
 from assistax.stamp import stamp
-from assistax.teamwork.adhoc import Meeting
+from assistax.teamwork.adhoc import CONSIDERATE, Meeting
 from assistax.teamwork.report import Meetings
 from assistax.teamwork.scores import gated
 from assistax.teamwork.strangers import check_robots
@@ -29,6 +29,7 @@ from assistax.training.run import Run
 MEASURES = ("return", "success", "safe_success", "gated_return", "gated_preference_return")
 LOST = 0.2  # of self-play's return above a still robot's, or of its success: what cross-play must lose at least
 GAINED = 0.1  # what everybody's own robot must have more than the best single one, of what that one has
+TOLD = ("expert", CONSIDERATE)  # scripts that are told all that the simulator knows, the second what people like, too
 JUDGED = ("return", "success"), ("gated_return", "success", "gated_preference_return")  # without preferences, with them
 
 
@@ -64,7 +65,8 @@ def validity_of(
             robot = population.select([one]).partner("robot", deterministic=True, by_person=False)
             found.append(gated(meeting(robot, seed)))
             bar.update(number * episodes * env.episode_length)
-    others = {name: gated(meeting.scripted(name, seed)) for name in ("still", "expert")}
+    scripts = ("still", *(TOLD if env.config.human.preferring else TOLD[:1]))
+    others = {name: gated(meeting.scripted(name, seed)) for name in scripts}
     others |= _by_seed(robots or {}, population, episodes, seed)
     told = _by_seed(oracles or {}, population, episodes, seed)
     others |= told
@@ -107,8 +109,7 @@ def judge(
     Args:
       matrix: by measure [robots, people], who belong together on the diagonal; returns and success at least, and with
         preferences those of `scores.gated`.
-      others: by robot and measure [people], "still" among them; "expert", who is told all that the simulator knows, is
-        no competitor.
+      others: by robot and measure [people], "still" among them; scripts of TOLD are no competitors.
       oracles: those of the others who are told who the person is.
 
     Returns:
@@ -125,7 +126,7 @@ def judge(
     robots: dict[str, Mapping[str, np.ndarray]] = {
         f"member {i}": {name: x[i] for name, x in matrix.items()} for i in range(len(own))
     }
-    robots |= {name: one for name, one in others.items() if name not in ("still", "expert", *oracles)}
+    robots |= {name: one for name, one in others.items() if name not in ("still", *TOLD, *oracles)}
     knowing = {name: others[name] for name in oracles} | {"their own": {name: x[own] for name, x in matrix.items()}}
     best, best_knowing = ({name: _best(those, name) for name in matrix} for those in (robots, knowing))
     matters, why = [], []
