@@ -407,7 +407,7 @@ def test_validity(robots):
     printed = assistax_command(*asked, "--robots", f"mine={root}/br", "--oracles", f"told={root}/oracle").stdout
     assert "cross-play" in printed and "best single robot, m" in printed
     found = json.loads((root / "validity.json").read_text())
-    assert set(found["others"]) == {"still", "expert", "mine 0", "mine 1", "told 0", "told 1"}
+    assert set(found["others"]) == {"still", "expert", "considerate", "mine 0", "mine 1", "told 0", "told 1"}
     assert len(found["others"]["mine 0"]["return"]) == 2
     assert (root / "validity.png").exists() and found["why"] in printed
 

@@ -185,6 +185,22 @@ def test_robots_of_feeding_learn_with_and_without_the_preferences(asked, tmp_pat
     assert by_name["extreme-sac"].algorithm == "isac" and len(by_name["extreme-sac"].env.human.people) == 5
 
 
+def test_robots_who_must_find_out_what_people_like_are_not_told(asked, tmp_path, monkeypatch):
+    monkeypatch.chdir(DOCS.parent)
+    chosen = [e for e in experiments(1) if e.name.startswith("teamwork/scratch-v3-tastes/runs/interpolate-")]
+    for one in chosen:
+        assert one.advance(tmp_path / "none", 1.0) is None
+    by_method = dict(zip([one.method for one in chosen], asked, strict=True))
+    train = splits.named("populations/scratch-v3-tastes:interpolate/train")[1]
+    assert {config.task for config in asked} == {"scratch-v3"} == {train.task}
+    assert {config.env.human.people for config in asked} == {train.people}
+    told = {name for name, config in by_method.items() if config.env.human.visibility != "human"}
+    assert told == {"best-response", "oracle"}
+    assert {name for name, config in by_method.items() if config.method.recurrent} == {"gru-hidden", "gru-stays-hidden"}
+    assert by_method["self-play-hidden"].partners == ()
+    assert "robot=considerate" in by_method["hidden"].method.teachers
+
+
 def test_a_person_who_does_nothing_is_a_frozen_partner(asked, tmp_path):
     for pattern in ("version3/feeding-ippo-default-still-2M-0", "feeding-ippo-default-tremor+weakness-10M-0"):
         (experiment,) = [e for e in experiments() if e.name == pattern]
