@@ -168,14 +168,15 @@ def with_robots(population: Population, sample: int | None = None, seed: int = E
 
 
 def matrix_picture(found: Mapping[str, Any], path: Path) -> None:
-    """Return and success of every robot (rows) with every person (columns), alike members side by side."""
+    """Return, success and what preferences pay: robots are rows, people columns, alike members side by side."""
+    names = [name for name in ("return", "success", "gated_preference_return") if name in found["matrix"]]
     order = _by_convention(np.array(found["matrix"]["return"]))
     with rc_context(STYLE | {"axes.grid": False}):
-        figure = Figure(figsize=(9.6, 4.2), layout="constrained")
-        for axes, name in zip(figure.subplots(1, 2), ("return", "success"), strict=True):
+        figure = Figure(figsize=(4.8 * len(names), 4.2), layout="constrained")
+        for axes, name in zip(figure.subplots(1, len(names)), names, strict=True):
             matrix = np.array(found["matrix"][name])[np.ix_(order, order)]
             shown = axes.imshow(matrix, aspect="equal", vmin=0 if name == "success" else None)
-            axes.set_title(f"{found['task']}: {name}")
+            axes.set_title(f"{found['task']}: {name.replace('_', ' ')}")
             axes.set_xlabel("person of member")
             axes.set_ylabel("robot of member")
             figure.colorbar(shown, ax=axes, shrink=0.8)
