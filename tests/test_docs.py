@@ -108,8 +108,10 @@ def test_the_table_of_ways_leaves_out_who_learned_together(monkeypatch):
     """Two of one way and one of another, with 1 for everybody's own robot."""
     success = np.array([[1.0, 0.5, 0.25], [0.75, 1.0, 0.0], [0.0, 0.5, 1.0]])
     matrix = {"success": success, "safe_success": success}
-    rows = [{"taught": way, "person": {"disability": body}} for way, body in zip("aab", "xyy", strict=True)]
-    lines = tool("population_page", monkeypatch)._by_way(rows, matrix).splitlines()
+    people = [{"disability": body, "preference": "none"} for body in "xyy"]
+    rows = [{"taught": way, "person": person} for way, person in zip("aab", people, strict=True)]
+    page = tool("population_page", monkeypatch)
+    lines = page._by_taste(rows, matrix).splitlines()
     assert [line.split("|")[2:4] for line in lines[5:7]] == [[" 62% ", " 12% "], [" 25% ", "  "]]
     assert [line.split("|")[2:4] for line in lines[-4:]] == [
         [" 3 ", " 100% "],
@@ -117,8 +119,17 @@ def test_the_table_of_ways_leaves_out_who_learned_together(monkeypatch):
         [" 2 ", " 62% "],  # two bodies, one way
         [" 2 ", " 12% "],
     ]
-    untaught = [row | {"taught": ""} for row in rows]
-    assert tool("population_page", monkeypatch)._by_way(untaught, matrix) == ""
+    assert page._by_taste([row | {"taught": ""} for row in rows], matrix) == ""
+    # Who likes something is told by that, whatever they were taught, and by what it pays.
+    liking = [row | {"taught": "a", "person": row["person"] | {"preference": row["taught"]}} for row in rows]
+    paid = page._by_taste(liking, matrix | {page.PAID: 100 * success}).splitlines()
+    assert [line.split("|")[2:4] for line in paid[5:7]] == [[" 62 ", " 12 "], [" 25 ", "  "]]
+    assert [line.split("|")[3:5] for line in paid[-4:]] == [
+        [" 100% ", " 100 "],
+        [" 25% ", " 25 "],
+        [" 62% ", " 62 "],
+        [" 12% ", " 12 "],
+    ]
 
 
 def test_the_page_of_strangers_is_what_was_measured(monkeypatch, tmp_path):
