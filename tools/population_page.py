@@ -11,7 +11,7 @@ from assistax.files import read_json
 from assistax.formats import SPLIT, VALIDITY
 from assistax.results.comparison import markdown
 from assistax.teamwork.portrait import by_person, short, taste
-from assistax.teamwork.validity import matrix_picture
+from assistax.teamwork.validity import matrix_picture, number
 from assistax.training.population import MANIFEST, Population
 
 PAID = "gated_preference_return"
@@ -155,7 +155,7 @@ def _by_taste(rows: list[Mapping[str, Any]], matrix: Mapping[str, Any]) -> str:
     table = []
     for mine in kinds:
         pairs = [apart[np.ix_(of[mine], of[theirs])] for theirs in kinds]
-        table.append([_words(mine), *("" if np.isnan(x).all() else _number(measure, np.nanmean(x)) for x in pairs)])
+        table.append([_words(mine), *("" if np.isnan(x).all() else number(measure, np.nanmean(x)) for x in pairs)])
     return WAYS.format(
         measure="What preferences pay in episodes that succeed," if measure == PAID else "Success",
         are="like" if _liking(rows) else "were taught",
@@ -180,7 +180,7 @@ def _by_kind(rows: list[Mapping[str, Any]], matrix: Mapping[str, Any]) -> str:
         for same_way, taught in zip((True, False), shared, strict=True):
             kinds[f"learned apart, {words}, {taught}"] = ~together & (body == same_body) & (way == same_way)
     cells = [
-        [name, str(there.sum()), *(_number(one, np.array(matrix[one])[there].mean()) for one in measures)]
+        [name, str(there.sum()), *(number(one, np.array(matrix[one])[there].mean()) for one in measures)]
         for name, there in kinds.items()
         if there.any()
     ]
@@ -193,7 +193,3 @@ def _liking(rows: list[Mapping[str, Any]]) -> bool:
 
 def _words(kind: str) -> str:
     return " ".join(short(kind).split())
-
-
-def _number(measure: str, x: float) -> str:
-    return f"{x:.0%}" if "success" in measure else f"{x:.0f}"

@@ -87,14 +87,8 @@ def _table(found: Mapping[str, Any]) -> str:
     scores = [name for name, partners in part["scored"].items() if sum(partners) >= FEWEST]
     head = ["robot", "seeds", "safe, of training", "safe, strangers", "gap", "gap of regret", f"beside {first}"]
     liked = [name for name in ("gated_preference_return",) if name in next(iter(part["methods"].values()))]
-    head += [
-        "worst tenth",
-        *(name.replace("_", " ") for name in (*scores, *liked)),
-        "return",
-        "clamped",
-        "hit",
-        "peak force, N",
-    ]
+    head += ["worst tenth", *(name.replace("_", " ") for name in (*scores, *liked)), "return"]
+    head += ["clamped", "hit", "peak force, N"]
     rows = []
     for group in ("references", "methods"):
         known, strange = found["train"][group], part[group]
@@ -108,9 +102,8 @@ def _table(found: Mapping[str, Any]) -> str:
             row.append(_number(less["safe_success"], "+.0%") if less and group == "methods" else "")
             row.append(f"{one['safe_success']['worst']:.0%}")
             row += [_number(one[score], ".2f") if score in one else "" for score in scores]
-            row += [_number(one[name], ".0f") for name in (*liked, "return")] + [
-                *(f"{one[hurt]['mean']:.0%}" for hurt in ("clamping", "impact"))
-            ]
+            row += [_number(one[name], ".0f") for name in (*liked, "return")]
+            row += [f"{one[hurt]['mean']:.0%}" for hurt in ("clamping", "impact")]
             rows.append([*row, f"{one['peak_force']['mean']:.0f}"])
     return markdown(head, rows)
 

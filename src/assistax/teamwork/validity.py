@@ -136,8 +136,8 @@ def judge(
             matters.append(name)
         why.append(
             f"in {name.replace('_', ' ')} cross-play loses {lost[name]:.0%}, and one robot, {best[name]['robot']}, has "
-            f"{_number(name, best[name]['mean'])} with all, who knows the partner, {best_knowing[name]['robot']}, "
-            f"{_number(name, best_knowing[name]['mean'])}"
+            f"{number(name, best[name]['mean'])} with all, who knows the partner, {best_knowing[name]['robot']}, "
+            f"{number(name, best_knowing[name]['mean'])}"
         )
     return {
         "self_play": self_play,
@@ -183,7 +183,8 @@ def matrix_picture(found: Mapping[str, Any], path: Path) -> None:
         figure.savefig(path, dpi=150)
 
 
-def _number(measure: str, x: float) -> str:
+def number(measure: str, x: float) -> str:
+    """A mean of a measure as a reader wants it: shares in percent."""
     return f"{x:.0%}" if "success" in measure else f"{x:.0f}"
 
 
