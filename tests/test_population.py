@@ -434,6 +434,8 @@ def test_some_are_drawn_and_populations_are_listed(folder, population, tmp_path,
     parts = splits.split(Population.load(scripted), "habit")  # two habits: one to train, one to test with
     assert [len(parts[name]) for name in ("train", "val", "test")] == [24, 0, 24]
     shutil.rmtree(scripted)
+    with pytest.raises(UsageError, match="a habit or a person is given more than once"):
+        Population.scripted("scratch-v0", found.people[:1], ("shy", "shy"))
     head, *rows = assistax_command("population", "list", tmp_path).stdout.splitlines()
     assert head.split() == ["population", "task", "members", "people", "size"]
     assert [row.split()[:4] for row in rows] == [

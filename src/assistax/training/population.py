@@ -139,6 +139,8 @@ class Population:
             row |= {"person": dataclasses.asdict(person), "architecture": SCRIPTED}
             row["habit"] = choose("habit", name, HABITS)
             rows.append({"id": _hash({}, row)} | row)
+        if len({row["id"] for row in rows}) < len(rows):
+            raise UsageError("A population holds nobody twice; a habit or a person is given more than once.")
         return cls(tuple(rows), {}, {})
 
     @classmethod
