@@ -131,8 +131,8 @@ def test_the_list_begins_with_five_seeds_of_every_task():
         "-still-": 15 + 5,  # and of former versions what was measured of them
         "-keeps_still-": 2 + 1,
         "-preferences-10M-": 3 + 20,
-        "-preferences-4M-": 9 + 6,
-        "version3/scratch-ippo-default-preferences-8M-": 3,
+        "-preferences-4M-": 12 + 6,
+        "version3/scratch-ippo-default-preferences-4M-": 3,
         "version3/feeding-ippo-default-tremor-": 1,
         "-default-untaught-4M-": 9 + 8,
     }.items():
@@ -195,8 +195,11 @@ def test_robots_who_must_find_out_what_people_like_are_not_told(asked, tmp_path,
     assert {config.task for config in asked} == {"scratch-v3"} == {train.task}
     assert {config.env.human.people for config in asked} == {train.people}
     told = {name for name, config in by_method.items() if config.env.human.visibility != "human"}
-    assert told == {"best-response", "oracle"}
-    assert {name for name, config in by_method.items() if config.method.recurrent} == {"gru-hidden", "gru-stays-hidden"}
+    assert told == {"best-response", "best-response-shown", "oracle"}
+    remember = {name for name, config in by_method.items() if config.method.recurrent}
+    assert remember == {"gru-hidden", "gru-stays-hidden", "gru-stays-hidden-shown"}
+    for name, config in by_method.items():
+        assert config.env.human.shows == (10.0 if name.endswith("-shown") else 0.0)
     assert by_method["self-play-hidden"].partners == ()
     assert "robot=considerate" in by_method["hidden"].method.teachers
 

@@ -28,7 +28,7 @@ ALGORITHMS = ("ippo", "ippo-rnn", "mappo", "mappo-rnn", "masac")
 STEPS = {"default": 10_000_000, "paper": 40_000_000}  # of PPO by preset; ours take half an hour
 # ... but of the versions from 1 on, where teachers help; the second with preferences.
 TAUGHT = dict.fromkeys(TASKS, 2_000_000) | {"scratch": 4_000_000, "bed_bath": 6_000_000}
-VARIED = dict.fromkeys(TASKS, 4_000_000) | {"scratch": 8_000_000, "bed_bath": 6_000_000}
+VARIED = dict.fromkeys(TASKS, 4_000_000) | {"bed_bath": 6_000_000}
 UNHELPED = TAUGHT | {"arm_assist": 4_000_000}  # a robot alone does not lift the arm in 2 M
 NEED_TWO = ("scratch", "bed_bath")
 ALONE = "-untaught"  # what are the teachers worth?
@@ -84,6 +84,7 @@ class Method:
 
 
 STAYS = {"env.human.redraw_every": 3}
+SHOWN = {"env.human.visibility": "human", "env.human.shows": 10.0}
 METHODS = {
     "best-response": Method(),
     "best-response-clock": Method(settings={"env.clock": 1.5}),  # where the task has none
@@ -99,6 +100,9 @@ METHODS = {
     "oracle-gru": Method(settings=STAYS | {"env.human.visibility": "oracle"}, recurrent=True),
     "liam": Method(settings={"ppo.partner_code": 16}),
     "randomised": Method("offers"),
+    "hidden-shown": Method(settings=SHOWN),
+    "gru-stays-hidden-shown": Method(settings=STAYS | SHOWN, recurrent=True),
+    "best-response-shown": Method(settings={"env.human.shows": 10.0}),
     "self-play": Method(""),
     "self-play-hidden": Method("", {"env.human.visibility": "human"}),
     "e3t": Method("", {"env.human.random_share": 0.25}),
@@ -107,6 +111,7 @@ METHODS = {
 SEVERAL = ("best-response", "untaught", "asymmetric", "fcp", "oracle", "gru", "gru-stays", "liam", "randomised")
 SEVERAL += ("self-play", "e3t")
 TASTES = ("hidden", "best-response", "self-play-hidden", "gru-hidden", "gru-stays-hidden", "oracle")  # what people like
+SHOWING = ("hidden-shown", "best-response-shown", "gru-stays-hidden-shown")  # beside the same people, who show it
 HIDDEN = ("hidden", "gru-stays-hidden", "oracle-gru")  # who must find out what a person likes, and who is told
 
 
@@ -296,7 +301,7 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     for algorithm in ("ippo-rnn", "mappo-rnn"):
         yield from _trainings(algorithm, "default", "", seeds or 2, tasks=some)
     yield from _trainings("masac", "default", "", seeds or 3, tasks=some)
-    yield from _robots("scratch-v3-tastes", "interpolate", 3_000_000, seeds or 2, TASTES)
+    yield from _robots("scratch-v3-tastes", "interpolate", 3_000_000, seeds or 2, (*TASTES, *SHOWING))
     yield from _robots("scratch-v3", "taught", 4_000_000, seeds, ("best-response", "self-play"))
     yield from _of_former_versions(seeds)
     yield from _of_the_paper(seeds or 1)
