@@ -22,7 +22,7 @@ from assistax.teamwork.adhoc import Meeting, draws
 from assistax.teamwork.report import meeting_env, picture, report
 from assistax.teamwork.scores import SCORES, Scale
 from assistax.teamwork.strangers import knows
-from assistax.teamwork.validity import judge, validity_of, with_robots
+from assistax.teamwork.validity import judge, with_robots
 from assistax.training import splits
 from assistax.training.configuration import configure
 from assistax.training.population import Population
@@ -227,18 +227,6 @@ def test_robots_of_other_settings_are_not_compared(robots, tmp_path):
     longer = stored_run(tmp_path / "l", configure("scratch", settings, partners=made["br"].config.partners))
     with pytest.raises(UsageError, match=r"env.episode_length is 20 in .*/br and 30 in .*/l; only what was measured"):
         report({"br": [made["br"]], "longer": [longer]}, parts_of(root, "test"), episodes=1)
-
-
-def test_robots_of_people_who_do_and_do_not_show_what_they_like_are_not_compared(robots, population, tmp_path):
-    root, made = robots
-    settings = {k: v for k, v in SETTINGS.items() if "human" not in k} | {"env.episode_length": 20}
-    settings |= {"env.human.shows": 10.0}
-    shown = stored_run(tmp_path / "shown", configure("scratch", settings, partners=made["br"].config.partners))
-    with pytest.raises(UsageError, match=r"env.human.shows is 10 N in .*/shown and 0 N with the others"):
-        report({"br": [made["br"]], "shown": [shown]}, parts_of(root, "test"), episodes=1)
-    with pytest.raises(UsageError, match=r"env.human.shows is 10 N in .*/shown and 5 N"):
-        validity_of(population, 1, robots={"shown": [shown]}, shows=5.0)
-    assert meeting_env(shown, population).config.human.shows == 10.0
 
 
 def test_robots_with_and_without_a_clock_are_compared(robots, tmp_path):

@@ -128,7 +128,7 @@ def test_offering_brings_the_person_nearer_than_withdrawing(envs, name):
             return env.step_env(jax.random.key(0), state, {"robot": jnp.zeros(7), "human": action})[1], None
 
         state, _ = jax.jit(lambda s: jax.lax.scan(step, s, None, 250))(state)
-        pos, _, _ = human.limb.chain(state.physics.qpos)
+        pos, _, _ = human.limb(state.physics.qpos)
         return float(jnp.linalg.norm(env.sensors(state.physics)["tool_pos"] - pos))
 
     assert distance_after(1.0) < distance_after(-1.0) - 0.01

@@ -8,17 +8,16 @@ from itertools import pairwise
 
 import jax
 import jax.numpy as jnp
-import mujoco
 import numpy as np
 import pytest
 from conftest import random_actions
 
 import assistax
-from assistax import cli, scenes
+from assistax import cli
 from assistax.env import EnvConfig
 from assistax.errors import UsageError
 from assistax.evaluation.playing import evaluate
-from assistax.human import DISABILITIES, HumanConfig, Person, disability, population, preference, variety
+from assistax.human import DISABILITIES, HumanConfig, Person, disability, expression, population, preference, variety
 from assistax.human.profile import stack, unstack
 from assistax.human.wandering import wander
 from assistax.policies import scripted_team
@@ -317,7 +316,7 @@ def test_a_reset_starts_within_narrow_limits(task):
 
 
 @pytest.mark.parametrize(("visibility", "robot", "human", "everyone"), [
-    ("both", 41, 45, 59), ("human", 34, 45, 59), ("none", 34, 38, 52),
+    ("both", 41, 45, 59), ("human", 34, 45, 59), ("none", 34, 38, 52), ("shown", 36, 45, 61),
 ])  # fmt: skip
 def test_who_sees_the_preference(visibility, robot, human, everyone):
     env = assistax.make("scratch-v0", engine="mujoco", human={"preference": "default", "visibility": visibility})
@@ -328,6 +327,42 @@ def test_who_sees_the_preference(visibility, robot, human, everyone):
             obs["human"][env.obs_layout("human")["preference"]], preference.vector(preference.preference())
         )
     assert env.global_obs(state).shape == (everyone,)
+
+
+@pytest.mark.parametrize(("felt", "speed", "face"), [
+    (2.0, 0.1, (0.0, 0.0)),  # N, m/s; liked are 1 to 3 N and 0.06 to 0.14 m/s
+    (3.25, 0.15, (-0.25, -1 / 3)),
+    (9.0, 0.5, (-1.0, -1.0)),
+    (0.5, 0.051, (0.5, 0.3)),
+    (0.2, 0.0, (0.8, 1.0)),
+    (0.09, 0.0, (0.0, 0.0)),  # untouched
+])  # fmt: skip
+def test_a_face_says_what_is_too_much_and_too_little(felt, speed, face):
+    found = expression.expression(jnp.float32(felt), jnp.float32(speed), preference.parse("force=1:3"))
+    np.testing.assert_allclose(found, face, atol=1e-5)
+
+
+def test_the_robot_sees_in_the_face_what_was_felt_over_a_tenth_of_a_second():
+    """3 N pressed since long, then nothing: 2.77 N show after a step, 0.003 N more than the 1.5 to 2.767 N liked."""
+    human = {"preference": "force=1.5:2.767", "visibility": "shown"}
+    env = assistax.make("scratch-v3", engine="mujoco", human=human)
+    _, state = jax.jit(env.reset)(jax.random.key(0))
+    still = {agent: jnp.zeros(size) for agent, size in env.action_sizes.items()}
+    pressed = dataclasses.replace(state, felt=jnp.float32(3.0))
+    obs, after, *_ = jax.jit(env.step_env)(jax.random.key(1), pressed, still)
+    now = 3.0 * np.exp(-0.008 / 0.1)
+    np.testing.assert_allclose(after.felt, now, rtol=1e-5)
+    face = obs["robot"][env.obs_layout("robot")["expression"]]
+    slow = min(1.0, (0.06 - float(env.task.tool_speed(env.sensors(after.physics), after.task))) / 0.03)
+    np.testing.assert_allclose(face, [-(now - 2.767), slow], atol=1e-5)
+    assert "preference" not in env.obs_layout("robot") and "expression" not in env.obs_layout("human")
+    ended = dataclasses.replace(pressed, t=jnp.int32(env.episode_length - 1))
+    obs, after, *_ = jax.jit(env.step)(jax.random.key(1), ended, still)
+    assert after.felt == 0.0 and not obs["robot"][env.obs_layout("robot")["expression"]].any()
+
+
+def test_nobody_shows_what_they_do_not_have():
+    assert "expression" not in assistax.make("scratch", human={"visibility": "shown"}).obs_layout("robot")
 
 
 def test_task_and_preference_returns_are_reported_apart():
@@ -378,9 +413,6 @@ def test_evaluations_show_both_returns():
     (lambda: HumanConfig(disability="standard", weights=(2.0,) * 6 + (-1.0,)), "0 or more"),
     (lambda: HumanConfig(weights=(float("nan"),)), "0 or more"),
     (lambda: HumanConfig(weights=(float("inf"),)), "0 or more"),
-    (lambda: HumanConfig(shows=5.0), "leave out env.human.shows"),
-    (lambda: HumanConfig(preference="sweep", shows=-1.0), r"shows must be a force of 0 N or more, not -1\.0"),
-    (lambda: HumanConfig(preference="sweep", shows=float("nan")), "a force of 0 N or more"),
     (lambda: HumanConfig(people="paper63"), "Did you mean 'paper630'"),
     (lambda: HumanConfig(people=stack((Person(),)), disability="tremor"), "leave out env.human.disability"),
     (lambda: HumanConfig(people=(Person(), Person(preference="default"))), "either all people have a preference"),
@@ -460,50 +492,6 @@ def test_a_share_of_the_action_is_random():
     assert np.abs(found[1.0]).max() <= 1.0 and np.ptp(found[1.0]) > 0.1
     with pytest.raises(assistax.UsageError, match=r"random_share must be 0 to 1, not 1\.5"):
         assistax.make("scratch", human={"random_share": 1.5})
-
-
-@pytest.mark.parametrize("body", ["none", "weakness"])
-@pytest.mark.parametrize(("felt", "pressed", "wish"), [(5.0, 6.0, -1), (2.0, 2.5, 0), (0.9, 0.9, 1), (0.0, 0.5, 0)])
-def test_who_shows_it_draws_back_from_too_much_and_leans_into_too_little(felt, pressed, wish, body):
-    """With 10 N on the forearm, whose Jacobian MuJoCo tells here, beside what they do; liked are 1 to 3 N."""
-    alike = {"disability": body, "preference": "force=1:3"}
-    shy, plain = (assistax.make("scratch-v3", engine="mujoco", human=alike | more) for more in ({"shows": 10.0}, {}))
-    model, driven = plain.model, scenes.qpos_ids(plain.model, plain.spec.scene.human_driven)
-    after = {}
-    for env in (shy, plain):
-        _, state = jax.jit(env.reset)(jax.random.key(3))
-        qvel = jnp.zeros(model.nv).at[driven].set(jnp.array([0.2, -0.3, 0.5]))
-        state = dataclasses.replace(
-            state, physics=dataclasses.replace(state.physics, qvel=qvel), tool_force=jnp.float32(pressed)
-        )
-        chosen = np.array([0.3, -0.2, 0.1])
-        if env is shy:
-            state = dataclasses.replace(state, felt=jnp.float32(felt))
-        elif wish:
-            data, jacobian = mujoco.MjData(model), np.zeros((3, model.nv))
-            data.qpos[:] = state.physics.qpos
-            mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)
-            mujoco.mj_jacSite(model, data, jacobian, None, model.site("wrist_target").id)
-            way = data.site("tool_tip").xpos - data.site("wrist_target").xpos
-            torque = jacobian[:, driven].T @ (10.0 * wish * way / np.linalg.norm(way)) - 0.5 * np.asarray(qvel)[driven]
-            assert np.abs(torque).max() > 1.0
-            chosen += np.clip(torque / 10.0, -1.0, 1.0)
-        action = {"robot": jnp.zeros(7), "human": jnp.asarray(chosen, jnp.float32)}
-        after[env] = jax.jit(env.step)(jax.random.key(0), state, action)[1]
-    np.testing.assert_allclose(after[shy].physics.qvel, after[plain].physics.qvel, atol=2e-5)
-    np.testing.assert_allclose(after[shy].felt, felt + 0.08 * (pressed - felt), rtol=1e-5)
-    assert after[plain].felt == ()
-
-
-def test_what_was_felt_is_forgotten_with_the_episode():
-    env = assistax.make("scratch-v3", episode_length=1, human={"preference": "default", "shows": 10.0})
-    _, state = env.reset(jax.random.key(0))
-    assert state.felt == 0.0
-    still = {agent: jnp.zeros(size) for agent, size in env.action_sizes.items()}
-    pressed = dataclasses.replace(state, felt=jnp.float32(4.0))
-    assert env.step(jax.random.key(1), pressed, still)[1].felt == 0.0
-    assert env.step_env(jax.random.key(1), pressed, still)[1].felt == pytest.approx(0.92 * 4.0)
 
 
 def test_a_person_stays_for_as_many_episodes_as_asked_for():

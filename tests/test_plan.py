@@ -122,8 +122,6 @@ def test_another_plan_is_refused(plan, in_one_go, tmp_path):
             other.save(folder)
     with pytest.raises(UsageError, match="Who the members are says --people"):
         dataclasses.replace(plan, settings={"env.human.disability": "tremor"})
-    with pytest.raises(UsageError, match=r"says --people; leave out env\.human\.weights"):
-        dataclasses.replace(plan, settings={"env.human.visibility": "none", "env.human.weights": (1.0,)})
     with pytest.raises(UsageError, match=r"has no plan\.json"):
         train_plan(tmp_path)
     for words in (

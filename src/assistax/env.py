@@ -19,7 +19,7 @@ import numpy as np
 from assistax import scenes
 from assistax.episode import Bookkeeping, Sums
 from assistax.errors import UsageError, choose
-from assistax.human import HumanConfig, HumanProfile, disability, harm, preference, showing
+from assistax.human import HumanConfig, HumanProfile, disability, expression, harm, preference
 from assistax.motors import Motors
 from assistax.physics import UNSTABLE, PhysicsState, make_engine
 from assistax.physics.batching import map_where, whole_batch
@@ -81,7 +81,7 @@ class EnvState:
     seed: jax.Array  # uint32 [2], what the next automatic reset draws with, beside the step's key
     harm: harm.HarmState | None  # to the person's body, where the scene measures it
     episode: Sums  # so far, see episode.py
-    felt: Any = ()  # N, the force that the person feels, if they show what they like
+    felt: Any = ()  # N, the force that shows in the person's face, if the robot sees it
     met: Any = ()  # int32, episodes that this person was here before, if people stay for more than one
 
 
@@ -129,7 +129,6 @@ class Env:
         if config.human.preferring and not hasattr(self.task, "tool_speed"):
             raise UsageError(f"People with preferences need tool_speed of a task, which {self.name} does not have.")
         self._body = disability.Body(model, driven)
-        self._limb = showing.Limb(model, scene) if config.human.shows else None
         self.motors = Motors(model, scene, config.human, config.torque_scale, self.spec.tremor_weakens)
         self.action_sizes = self.motors.sizes
         self.clock = self.spec.clock if config.clock is None else float(config.clock)  # Hz
@@ -207,8 +206,7 @@ class Env:
         """
         del key
         actions, fault = self.motors.checked(actions)
-        felt, shown = self._show(state)
-        ctrl = self.motors.disturbed(actions, state.person, state.phase, state.t * self.dt, shown)
+        ctrl = self.motors.disturbed(actions, state.person, state.phase, state.t * self.dt)
         physics = self.engine.step(state.physics, ctrl)
         physics, broken = self._unbroken(physics, state.physics, fault)
         s = self.sensors(physics)
@@ -230,7 +228,7 @@ class Env:
             physics=physics,
             task=task,
             tool_force=norm(s["tool_force"]),
-            felt=felt,
+            felt=expression.feel(state.felt, norm(s["tool_force"]), self.dt) if self.config.human.expressing else (),
             t=state.t + 1,
             harm=harmed,
             episode=self._books.add(state.episode, s, force, sum(terms.values()), sum(preferred.values()), cost),
@@ -333,7 +331,7 @@ class Env:
     def _begin(self, physics: PhysicsState, start: _Start, t, met: Any = ()) -> EnvState:
         harmed = harm.begin() if self.spec.scene.regions else None
         sums, zero = self._books.start(), jnp.float32(0.0)
-        felt = zero if self.config.human.shows else ()
+        felt = zero if self.config.human.expressing else ()
         return EnvState(physics, start.task, start.person, start.phase, zero, t, start.seed, harmed, sums, felt, met)
 
     @staticmethod
@@ -343,16 +341,6 @@ class Env:
         broken = (fault & UNSTABLE) != 0
         kept = {name: jnp.where(broken, getattr(before, name), getattr(physics, name)) for name in MOVES}
         return dataclasses.replace(physics, **kept, fault=fault), broken
-
-    def _show(self, state: EnvState) -> tuple[Any, jax.Array | None]:
-        """What the person feels by now, and what they add to their action [human's] to show how they like it."""
-        if self._limb is None:
-            return (), None
-        physics, force = state.physics, self.config.human.shows
-        felt = showing.feel(state.felt, state.tool_force, self.dt)
-        wish = showing.wish(felt, state.person.preference)
-        tool = physics.sensordata[self.sensors.places["tool_pos"]]
-        return felt, jnp.where(wish == 0.0, 0.0, self._limb.pulled(physics.qpos, physics.qvel, tool, force * wish))
 
     def _preference_terms(self, s: Sensors, state: EnvState, task: TaskState, actions: Obs) -> dict[str, jax.Array]:
         if not self.config.human.preferring:
@@ -375,7 +363,11 @@ class Env:
         of_task = self.task.observe(s, state.task)
         if self.clock:
             of_task["clock"] = self.beat(state)
-        return self.sensors.blocks(s, of_task, state.person)
+        shown = None
+        if self.config.human.expressing:
+            speed = self.task.tool_speed(s, state.task)
+            shown = expression.expression(state.felt, speed, state.person.preference)
+        return self.sensors.blocks(s, of_task, state.person, shown)
 
     def _observe(self, state: EnvState) -> Obs:
         blocks = self._blocks(state)

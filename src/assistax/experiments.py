@@ -84,7 +84,6 @@ class Method:
 
 
 STAYS = {"env.human.redraw_every": 3}
-SHOWN = {"env.human.visibility": "human", "env.human.shows": 10.0}
 METHODS = {
     "best-response": Method(),
     "best-response-clock": Method(settings={"env.clock": 1.5}),  # where the task has none
@@ -93,6 +92,7 @@ METHODS = {
     "fcp": Method("train+earlier"),
     "oracle": Method(settings={"env.human.visibility": "oracle"}),
     "hidden": Method(settings={"env.human.visibility": "human"}),
+    "shown": Method(settings={"env.human.visibility": "shown"}),
     "gru": Method(recurrent=True),
     "gru-hidden": Method(settings={"env.human.visibility": "human"}, recurrent=True),
     "gru-stays": Method(settings=STAYS, recurrent=True),
@@ -100,9 +100,6 @@ METHODS = {
     "oracle-gru": Method(settings=STAYS | {"env.human.visibility": "oracle"}, recurrent=True),
     "liam": Method(settings={"ppo.partner_code": 16}),
     "randomised": Method("offers"),
-    "hidden-shown": Method(settings=SHOWN),
-    "gru-stays-hidden-shown": Method(settings=STAYS | SHOWN, recurrent=True),
-    "best-response-shown": Method(settings={"env.human.shows": 10.0}),
     "self-play": Method(""),
     "self-play-hidden": Method("", {"env.human.visibility": "human"}),
     "e3t": Method("", {"env.human.random_share": 0.25}),
@@ -110,8 +107,15 @@ METHODS = {
 }
 SEVERAL = ("best-response", "untaught", "asymmetric", "fcp", "oracle", "gru", "gru-stays", "liam", "randomised")
 SEVERAL += ("self-play", "e3t")
-TASTES = ("hidden", "best-response", "self-play-hidden", "gru-hidden", "gru-stays-hidden", "oracle")  # what people like
-SHOWING = ("hidden-shown", "best-response-shown", "gru-stays-hidden-shown")  # beside the same people, who show it
+TASTES = (
+    "hidden",
+    "shown",
+    "best-response",
+    "self-play-hidden",
+    "gru-hidden",
+    "gru-stays-hidden",
+    "oracle",
+)  # what people like
 HIDDEN = ("hidden", "gru-stays-hidden", "oracle-gru")  # who must find out what a person likes, and who is told
 
 
@@ -301,7 +305,7 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     for algorithm in ("ippo-rnn", "mappo-rnn"):
         yield from _trainings(algorithm, "default", "", seeds or 2, tasks=some)
     yield from _trainings("masac", "default", "", seeds or 3, tasks=some)
-    yield from _robots("scratch-v3-tastes", "interpolate", 3_000_000, seeds or 2, (*TASTES, *SHOWING))
+    yield from _robots("scratch-v3-tastes", "interpolate", 3_000_000, seeds or 2, TASTES)
     yield from _robots("scratch-v3", "taught", 4_000_000, seeds, ("best-response", "self-play"))
     yield from _of_former_versions(seeds)
     yield from _of_the_paper(seeds or 1)

@@ -71,22 +71,9 @@ class Motors:
         down, up = self._spans
         return jnp.concatenate([human, self._zero + jnp.where(robot < 0, down, up) * robot, self._brakes])
 
-    def disturbed(
-        self,
-        actions: Actions,
-        person: HumanProfile,
-        phase: jax.Array,
-        time: jax.Array,
-        reflex: jax.Array | None = None,
-    ) -> jax.Array:
-        """`controls` with what the person does not choose, `time` s into the episode.
-
-        That is a random share and tremor, for which `phase` is EnvState's, and a `reflex` [human's actions].
-        """
-        chosen = self.wandering(actions, phase, time)
-        if reflex is not None:
-            chosen = chosen | {"human": jnp.clip(chosen["human"], -1.0, 1.0) + reflex}
-        return self._trembling(self.controls(chosen), person, phase, time)
+    def disturbed(self, actions: Actions, person: HumanProfile, phase: jax.Array, time: jax.Array) -> jax.Array:
+        """`controls` with the person's random share and tremor, `time` s into the episode; phase: see EnvState."""
+        return self._trembling(self.controls(self.wandering(actions, phase, time)), person, phase, time)
 
     def wandering(self, actions: Actions, phase: jax.Array, time: jax.Array) -> Actions:
         """Actions with the person's random share, see HumanConfig.random_share."""

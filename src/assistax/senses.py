@@ -11,7 +11,11 @@ from assistax.physics import PhysicsState
 from assistax.tasks.base import Sensors
 
 BODIES = ("theta_robot", "dtheta_robot", "tool_pos", "tool_quat", "tool_force", "theta_human", "dtheta_human")
-_HIDDEN = {"robot": ("theta_human", "dtheta_human"), "human": ("theta_robot", "dtheta_robot", "clock"), "global": ()}
+_HIDDEN = {
+    "robot": ("theta_human", "dtheta_human"),
+    "human": ("theta_robot", "dtheta_robot", "clock", "body", "expression"),
+    "global": (),
+}
 
 Blocks = dict[str, jax.Array]
 """Parts of an observation by name, in its order."""
@@ -41,22 +45,22 @@ class Senses:
         s |= {f"theta_{name}": physics.qpos[ids] for name, ids in self._joints.items()}
         return s | {f"dtheta_{name}": physics.qvel[ids] for name, ids in self._joints.items()}
 
-    def blocks(self, s: Sensors, of_task: Blocks, person: HumanProfile) -> Blocks:
+    def blocks(self, s: Sensors, of_task: Blocks, person: HumanProfile, expression: jax.Array | None = None) -> Blocks:
         """All that anybody sees, in the order of the paper's table."""
         blocks = {name: s[name] for name in BODIES} | of_task
         if self._human.preferring and self._human.visibility != "none":
             blocks["preference"] = preference.vector(person.preference)
         if self._human.visibility == "oracle":
             blocks["body"] = disability.vector(person.disability)
+        if expression is not None:
+            blocks["expression"] = expression
         return blocks
 
     def seen_by(self, who: str, blocks: Blocks) -> Blocks:
         """What "robot", "human" or "global" sees of all blocks."""
         hidden = set(_HIDDEN[who])
-        if who == "robot" and self._human.visibility == "human":
+        if who == "robot" and self._human.visibility in ("human", "shown"):
             hidden.add("preference")
-        if who == "human":
-            hidden.add("body")
         return {name: block for name, block in blocks.items() if name not in hidden}
 
     def layout(self, who: str, blocks: Blocks) -> dict[str, slice]:

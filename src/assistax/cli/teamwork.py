@@ -182,7 +182,6 @@ def validity(
     episodes: Count = 8,
     robots: Robots = (),
     oracles: Robots = (),
-    shows: float = 0.0,
     out: File = None,
 ) -> None:
     """Ask whether partners matter in a task: what robots lose when they meet each other's people.
@@ -200,7 +199,6 @@ def validity(
       episodes: of each pair.
       robots: runs whose robots may be the best single one, beside the members' own.
       oracles: runs whose robots are told who the person is.
-      shows: env.human.shows of everybody, N.
       out: a .json for the matrices, with a picture of the same name beside it.
     """
     from assistax.files import write_json
@@ -209,7 +207,7 @@ def validity(
 
     _check(out)
     known, told = (_named(texts) if texts else {} for texts in (robots, oracles))
-    found = validity_of(Population.load(population), episodes, sample, robots=known, oracles=told, shows=shows)
+    found = validity_of(Population.load(population), episodes, sample, robots=known, oracles=told)
     for name in found["matrix"]:
         own, cross = found["self_play"][name], found["cross_play"][name]
         print(

@@ -33,24 +33,20 @@ class HumanConfig:
     people: str | tuple[Person, ...] | HumanProfile = "none"
     # How often each of those people is drawn, in proportion: a number for each, (2, 1, 1). (): all as often.
     weights: tuple[float, ...] = ()
-    # Who sees the preference: "both" (the paper), "human" or "none"; with "oracle" both do, and the robot is told the
-    # body as well (tremor, its frequency, strength and motion), as a reference for robots that have to find out.
+    # Who sees the preference: "both" (the paper), "human" or "none". With "shown" the human does, and the robot sees
+    # their expression. With "oracle" both do, and the robot is told the body as well (tremor, its frequency, strength
+    # and motion), as a reference for robots that have to find out.
     visibility: str = "both"
     # The share of the person's action that is random, 0 to 1: to train a robot for people who do otherwise (E3T).
     random_share: float = 0.0
-    # N, with which the person draws back from a tool that presses harder than they like, and leans into one that
-    # touches them more softly; 0: they do not show it. See human/showing.py.
-    shows: float = 0.0
     # Episodes for which a person stays, and the partner, before the next one is drawn: a memory is kept for as long.
     redraw_every: int = 1
 
     def __post_init__(self):
-        choose("visibility", self.visibility, ["both", "human", "none", "oracle"])
+        choose("visibility", self.visibility, ["both", "human", "none", "shown", "oracle"])
         if not 0.0 <= self.random_share <= 1.0:
             raise UsageError(f"env.human.random_share must be 0 to 1, not {self.random_share}.")
         check_count("env.human.redraw_every", self.redraw_every)
-        if not 0.0 <= self.shows < float("inf"):
-            raise UsageError(f"env.human.shows must be a force of 0 N or more, not {self.shows}.")
         if self.people != "none":
             if (self.disability, self.preference) != ("none", "none"):
                 raise UsageError(
@@ -66,8 +62,6 @@ class HumanConfig:
             preference.parse(self.preference)
         else:
             choose("preference", self.preference, ["none", "default", "sweep"])
-        if self.shows and not self.preferring:
-            raise UsageError("Only people with preferences can show them: leave out env.human.shows.")
         if self.weights and not (
             len(self.weights) == len(self.listed) and min(self.weights) >= 0 < sum(self.weights) < float("inf")
         ):
@@ -88,6 +82,11 @@ class HumanConfig:
     @cached_property
     def _profiles(self) -> HumanProfile:
         return stack(self.listed)
+
+    @property
+    def expressing(self) -> bool:
+        """Whether the robot sees how people like it."""
+        return self.preferring and self.visibility == "shown"
 
     @property
     def disabled(self) -> bool:

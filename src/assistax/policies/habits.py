@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from assistax.errors import choose
-from assistax.human import showing
+from assistax.human.preference import TOUCH
 from assistax.policies.people import Muscles, Reflex, offer
 from assistax.policies.player import Player, stack
 
@@ -63,6 +63,9 @@ HABITS = {
 }
 
 
+FEELING = 0.1  # s, over which a force is felt
+
+
 class Habits:
     """The policy of all people with habits in one environment; a member's parameters are a Habit's fields."""
 
@@ -81,7 +84,7 @@ class Habits:
         seconds = steps * self.env.dt
         offered, own = self._offer.act({k: habit[k] for k in ("speed", "way")}, carry["offer"], state, reset, key)
         s = self.env.sensors(state.physics)
-        limb, _, _ = self._reflex.limb.chain(state.physics.qpos)
+        limb, _, _ = self._reflex.limb(state.physics.qpos)
         fast = jnp.linalg.norm(s["tool_vel"]) > habit["shy"]
         afraid = fast & (jnp.linalg.norm(s["tool_pos"] - limb) < habit["near"])
         since = seconds - habit["delay"]
@@ -90,10 +93,11 @@ class Habits:
         kept = habit["keeps"] * self._muscles.toward(self._muscles.rest, state)
         helping = awake * habit["vigour"] * (habit["offers"] * offered + following + kept)
         noise = habit["noise"] * jax.random.uniform(key, (self._size,), minval=-1.0, maxval=1.0)
-        pressed = jnp.linalg.norm(s["tool_force"])
-        felt = showing.feel(jnp.where(reset, 0.0, carry["felt"]), pressed, self.env.dt)
-        wish = showing.wish(felt, state.person.preference)
-        shown = jnp.where(wish == 0.0, 0.0, self._reflex.moving(state, habit["shows"] * wish))
+        felt = jnp.where(reset, 0.0, carry["felt"])
+        felt += self.env.dt / FEELING * (jnp.linalg.norm(s["tool_force"]) - felt)
+        least, most = state.person.preference.force
+        missing = jnp.where(felt > most, -1.0, jnp.where((felt > TOUCH) & (felt < least), 1.0, 0.0))
+        shown = jnp.where(missing == 0.0, 0.0, self._reflex.moving(state, habit["shows"] * missing))
         action = jnp.where(afraid, self._reflex.moving(state, -1.0), helping + shown) + noise
         return jnp.clip(action, -1.0, 1.0), {"steps": steps + 1, "felt": felt, "offer": own}
 

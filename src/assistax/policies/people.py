@@ -10,7 +10,6 @@ import mujoco
 import numpy as np
 
 from assistax import scenes
-from assistax.human.showing import Limb
 from assistax.scenes import geometry
 from assistax.tasks.arm_assist import ArmAssist
 from assistax.tasks.bed_bath import BedBath
@@ -26,10 +25,16 @@ class Reflex:
 
     privileged = True
     pull = 40.0  # N, on the forearm or mouth
+    damping = 0.5  # N m s/rad
 
     def __init__(self, env, sign: float):
         """`sign` is 1 to offer, -1 to withdraw."""
-        self.sign, self.env, self.limb = sign, env, Limb(env.model, env.spec.scene)
+        self.sign = sign
+        scene = env.spec.scene
+        site = "mouth" if scene.human_driven == scenes.NECK else "wrist_target"
+        self.limb = geometry.Chain(env.model, site, scene.human_driven)
+        self.env, self._ids = env, scenes.qpos_ids(env.model, scene.human_driven)
+        self._full = scenes.HUMAN_TORQUE * scene.human_strength
 
     def initial_carry(self):
         return ()
@@ -39,8 +44,11 @@ class Reflex:
 
     def moving(self, state, toward):
         """The action that pulls toward the tool with `toward` times the usual force; below 0 away from it."""
+        pos, _, jacobian = self.limb(state.physics.qpos)
         tool = self.env.sensors(state.physics)["tool_pos"]
-        return self.limb.pulled(state.physics.qpos, state.physics.qvel, tool, toward * self.pull)
+        force = toward * self.pull * geometry.unit(tool - pos)
+        torque = jacobian[:3].T @ force - self.damping * state.physics.qvel[self._ids]
+        return jnp.clip(torque / self._full, -1.0, 1.0)
 
 
 class Muscles:

@@ -54,8 +54,7 @@ class Plan:
         object.__setattr__(self, "task", task_spec(self.task).id)
         if self.seeds < 1 or not self.algorithms or not self.people:
             raise UsageError("A population needs one person, algorithm and seed or more.")
-        traits = {name for name in self.settings if name.startswith("env.human.")}
-        if given := sorted(traits - {"env.human.visibility", "env.human.shows"}):
+        if given := [name for name in self.settings if name.startswith("env.human.") and "visibility" not in name]:
             raise UsageError(f"Who the members are says --people; leave out {given[0]}.")
         for name in self.taught:
             choose("habit", name, HABITS)

@@ -27,19 +27,6 @@ def check_robots(runs: Sequence[Run], populations: Mapping[str, Population]) -> 
             if "robot" not in run.trainer.learners:
                 raise UsageError(f"The robot of {run.folder} did not learn; there is nothing to measure.")
     check_alike([(run.folder, run.env) for run in runs], free=["env.clock"])  # a robot's own affair
-    check_shown(runs)
-
-
-def check_shown(runs: Sequence[Run], shows: float | None = None) -> None:
-    """Raise UsageError unless people show what they like with the same force in all runs, that of `shows` if given."""
-    for run in runs:
-        force = run.config.env.human.shows
-        if shows is not None and force != shows:
-            raise UsageError(
-                f"env.human.shows is {force:g} N in {run.folder} and {shows:g} N with the others; robots are compared "
-                "beside people who show what they like in the same way."
-            )
-        shows = force
 
 
 def check_strangers(runs: Sequence[Run], populations: Mapping[str, Population]) -> None:

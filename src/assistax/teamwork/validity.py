@@ -21,7 +21,7 @@ from assistax.stamp import stamp
 from assistax.teamwork.adhoc import CONSIDERATE, Meeting
 from assistax.teamwork.report import Meetings
 from assistax.teamwork.scores import gated
-from assistax.teamwork.strangers import check_robots, check_shown
+from assistax.teamwork.strangers import check_robots
 from assistax.training.clock import progress_bar
 from assistax.training.population import Population
 from assistax.training.run import Run
@@ -40,7 +40,6 @@ def validity_of(
     seed: int = EVALUATION_SEED,
     robots: Mapping[str, Sequence[Run]] | None = None,
     oracles: Mapping[str, Sequence[Run]] | None = None,
-    shows: float = 0.0,
 ) -> dict[str, Any]:
     """Cross-play of a population.
 
@@ -52,7 +51,6 @@ def validity_of(
       robots: by name, runs of robots that may be the best single one, beside the members' own; any number of seeds.
       oracles: by name, runs of robots that are told who the person is; the best of them, or everybody's own robot, is
         what the best single one is compared with.
-      shows: N, see HumanConfig; that of the runs.
 
     Returns:
       ready for JSON: "ids"; by measure "matrix", a row for each robot and a column for each person; by name of a run's
@@ -60,10 +58,7 @@ def validity_of(
     """
     population = with_robots(population, sample, seed)
     number = len(population)
-    for runs in (*(robots or {}).values(), *(oracles or {}).values()):
-        check_shown(runs, shows)
-    who = {"human.people": population.people, "human.shows": shows}
-    env = Env(population.task, "auto", with_settings(EnvConfig(), who))
+    env = Env(population.task, "auto", with_settings(EnvConfig(), {"human.people": population.people}))
     meeting, found = Meeting(env, population, episodes), []
     with progress_bar(number * number * episodes * env.episode_length, 0) as bar:
         for one in population.ids:
@@ -82,7 +77,6 @@ def validity_of(
         "task": population.task,
         "episodes": episodes,
         "seed": seed,
-        "shows": shows,
         "ids": list(population.ids),
         "people": [row["person"] for row in population.rows],
         "matrix": {name: np.round(x, 4).tolist() for name, x in matrix.items()},
