@@ -147,7 +147,7 @@ def test_a_result_without_checkpoints_plays_and_is_no_run_to_go_on_with(evaluate
     folder.mkdir()
     for name in ("config.json", "summary.json", "policies.safetensors"):
         shutil.copy(run.folder / name, folder)
-    result = Run.open(folder)
+    result = Run.open(str(folder))
     assert result.measured(1)["mean_return"] == summary["evaluation"][1]["mean_return"]
     for mine, theirs in zip(result.teams(), run.teams(), strict=True):
         for agent, player in mine.items():

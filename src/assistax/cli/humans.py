@@ -12,9 +12,11 @@ def humans(*, people: Name = None, seed: Count = 0, json: Json = False) -> None:
       assistax train scratch --set "env.human.preference=speed=0.05:0.09 force=1.2:2 weights=0.3,0.35,-0.03"
 
     Or drawn at every reset: one of the seven and a preference of the paper's sweep; one of the paper's
-    population of 630; one of your own list. The robot may be kept from seeing the preference:
+    population of 630; one of your own list. The robot may be kept from seeing the preference, or see in the person's
+    face alone how they take it:
       assistax train scratch --set env.human.disability=standard env.human.preference=sweep
       assistax train scratch --set env.human.people=paper630 env.human.visibility=human
+      assistax train scratch --set env.human.preference=sweep env.human.visibility=shown
       assistax humans --people paper630 --json > people.json
       assistax train scratch --set env.human.people=people.json
 

@@ -57,8 +57,9 @@ class Run:
         self.seeds = Seeds(config.seeds)
 
     @classmethod
-    def create(cls, config: TrainConfig, folder: Path, players: Mapping[str, Player] | None = None) -> "Run":
+    def create(cls, config: TrainConfig, folder: Path | str, players: Mapping[str, Player] | None = None) -> "Run":
         """Make the folder; it must be new or empty. Raises UsageError for what cannot be trained here."""
+        folder = Path(folder)
         given = tuple(f"{agent}={GIVEN}" for agent in players or {})
         config = dataclasses.replace(config, partners=config.partners + given)
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -119,14 +120,14 @@ class Run:
     @classmethod
     def open(
         cls,
-        folder: Path,
+        folder: Path | str,
         settings: Mapping[str, Any] | None = None,
         players: Mapping[str, Player] | None = None,
         **changes,
     ) -> "Run":
         """Read a run folder; `changes` replace fields of its configuration, `settings` any by name ("ppo.gamma")."""
         check_settings(settings or {})
-        config = read_config(folder)
+        config = read_config(folder := Path(folder))
         changes = {name: value for name, value in changes.items() if value is not None}
         return cls(folder, with_settings(dataclasses.replace(config, **changes), settings or {}), players)
 
