@@ -126,7 +126,7 @@ def test_every_setting_is_listed_with_its_default_and_meaning():
 def test_meanings_are_the_comments_above_and_behind():
     found = meanings(HumanConfig)
     assert found["visibility"].startswith(
-        'Who sees the preference: "both" (the paper), "human" or "none"; with "oracle"'
+        'Who sees the preference: "both" (the paper), "human" or "none". With "shown"'
     )
     assert found["preference"].startswith('"none": no preference reward;') and '"speed=0.05' in found["preference"]
 
