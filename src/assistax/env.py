@@ -363,11 +363,11 @@ class Env:
         of_task = self.task.observe(s, state.task)
         if self.clock:
             of_task["clock"] = self.beat(state)
-        shown = None
+        blocks = self.sensors.blocks(s, of_task, state.person)
         if self.config.human.expressing:
             speed = self.task.tool_speed(s, state.task)
-            shown = expression.expression(state.felt, speed, state.person.preference)
-        return self.sensors.blocks(s, of_task, state.person, shown)
+            blocks["expression"] = expression.expression(state.felt, speed, state.person.preference)
+        return blocks
 
     def _observe(self, state: EnvState) -> Obs:
         blocks = self._blocks(state)

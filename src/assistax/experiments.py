@@ -107,15 +107,8 @@ METHODS = {
 }
 SEVERAL = ("best-response", "untaught", "asymmetric", "fcp", "oracle", "gru", "gru-stays", "liam", "randomised")
 SEVERAL += ("self-play", "e3t")
-TASTES = (
-    "hidden",
-    "shown",
-    "best-response",
-    "self-play-hidden",
-    "gru-hidden",
-    "gru-stays-hidden",
-    "oracle",
-)  # what people like
+# Who is told what people like, who sees it, and who has to find out.
+TASTES = ("hidden", "shown", "best-response", "self-play-hidden", "gru-hidden", "gru-stays-hidden", "oracle")
 HIDDEN = ("hidden", "gru-stays-hidden", "oracle-gru")  # who must find out what a person likes, and who is told
 
 

@@ -45,15 +45,13 @@ class Senses:
         s |= {f"theta_{name}": physics.qpos[ids] for name, ids in self._joints.items()}
         return s | {f"dtheta_{name}": physics.qvel[ids] for name, ids in self._joints.items()}
 
-    def blocks(self, s: Sensors, of_task: Blocks, person: HumanProfile, expression: jax.Array | None = None) -> Blocks:
+    def blocks(self, s: Sensors, of_task: Blocks, person: HumanProfile) -> Blocks:
         """All that anybody sees, in the order of the paper's table."""
         blocks = {name: s[name] for name in BODIES} | of_task
         if self._human.preferring and self._human.visibility != "none":
             blocks["preference"] = preference.vector(person.preference)
         if self._human.visibility == "oracle":
             blocks["body"] = disability.vector(person.disability)
-        if expression is not None:
-            blocks["expression"] = expression
         return blocks
 
     def seen_by(self, who: str, blocks: Blocks) -> Blocks:
