@@ -146,10 +146,20 @@ def test_strangers_by_kind_are_means_over_those_of_that_kind(monkeypatch):
         "references": {"own": {"safe_success": {"by_pair": [[1.0, 0.5, None]]}}},
         "methods": {"br": {"safe_success": {"by_pair": [[0.2, 0.4, 0.8], [0.2, 0.4, 1.0]]}}},
     }
-    lines = tool("strangers_page", monkeypatch)._by_kind(people, part).splitlines()
+    page = tool("strangers_page", monkeypatch)
+    lines = page._by_kind(people, part).splitlines()
     assert [cell.strip() for cell in lines[0].split("|")[1:-1]] == ["robot", "x", "y", "a", "b"]
     assert [cell.strip() for cell in lines[2].split("|")[1:-1]] == ["their own", "75%", "", "100%", "50%"]
     assert [cell.strip() for cell in lines[3].split("|")[1:-1]] == ["br", "30%", "90%", "55%", "40%"]
+    # What preferences pay is of both parts together: here the same three people twice, paid 100 more as strangers.
+    paid = [
+        {group: {name: {page.PAID: {"by_pair": [[10, 20, more]]}} for name in part[group]} for group in part}
+        for more in (60, 160)
+    ]
+    found = {"train": paid[0], "test": paid[1], "people": {"train": people, "test": people}}
+    lines = page._liked(found).strip().splitlines()
+    assert [cell.strip() for cell in lines[-1].split("|")[1:-1]] == ["br", "15", "110", "60", "20"]
+    assert page._liked(found | {"train": part}) == ""
 
 
 def test_the_notebook_is_the_page(monkeypatch):

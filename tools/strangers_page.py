@@ -34,9 +34,15 @@ ONE = """## {population}, {title}
 
 Safe success with strangers by who they are:
 
-{kinds}
+{kinds}{liked}
 
 ![Safe success with people of training and strangers](images/{picture})"""
+LIKED = """
+
+What preferences pay in episodes that succeed, with everybody, those of training and strangers, by who they are:
+
+"""
+PAID = "gated_preference_return"
 
 
 def page(results: Path, pictures: Path) -> str:
@@ -70,6 +76,7 @@ def _one(found: Mapping[str, Any], name: str, pictures: Path) -> str:
         scored=_scored(found["test"]["scored"]["score"]),
         methods=_table(found),
         kinds=_by_kind(found["people"]["test"], found["test"]),
+        liked=_liked(found),
     )
 
 
@@ -86,7 +93,7 @@ def _table(found: Mapping[str, Any]) -> str:
     first = next(iter(part["methods"]))
     scores = [name for name, partners in part["scored"].items() if sum(partners) >= FEWEST]
     head = ["robot", "seeds", "safe, of training", "safe, strangers", "gap", "gap of regret", f"beside {first}"]
-    liked = [name for name in ("gated_preference_return",) if name in next(iter(part["methods"].values()))]
+    liked = [PAID] if PAID in next(iter(part["methods"].values())) else []
     head += ["worst tenth", *(name.replace("_", " ") for name in (*scores, *liked)), "return"]
     head += ["clamped", "hit", "peak force, N"]
     rows = []
@@ -117,8 +124,27 @@ def _seeds(runs: Sequence[Mapping[str, Any]]) -> str:
     return ", ".join(f"{count} × {steps}" for steps, count in counts.items())
 
 
-def _by_kind(people: Sequence[Mapping[str, str]], part: Mapping[str, Any]) -> str:
-    """Means over strangers of one body, of one preference, of one way that was taught or habit, where they differ."""
+def _liked(found: Mapping[str, Any]) -> str:
+    """What preferences pay by kind, of both parts together; nothing where people like nothing in particular."""
+    parts = [found[part] for part in ("train", "test")]
+    if PAID not in next(iter(parts[0]["methods"].values())):
+        return ""
+    both = {
+        group: {
+            name: {
+                PAID: {"by_pair": np.hstack([np.array(part[group][name][PAID]["by_pair"], float) for part in parts])}
+            }
+            for name in parts[0][group]
+        }
+        for group in ("references", "methods")
+    }
+    return LIKED + _by_kind([one for part in ("train", "test") for one in found["people"][part]], both, PAID, ".0f")
+
+
+def _by_kind(
+    people: Sequence[Mapping[str, str]], part: Mapping[str, Any], measure: str = "safe_success", form: str = ".0%"
+) -> str:
+    """Means over people of one body, of one preference, of one way that was taught or habit, where they differ."""
     columns: dict[str, list[bool]] = {}
     preferences = {words: name for name, words in PREFERENCES.items()}
     for name in ("disability", "preference", "taught", "habit"):
@@ -131,9 +157,10 @@ def _by_kind(people: Sequence[Mapping[str, str]], part: Mapping[str, Any]) -> st
     rows = []
     for group in ("references", "methods"):
         for name, one in part[group].items():
-            safe = by_partner(one["safe_success"])
-            cells = [safe[np.array(mine) & ~np.isnan(safe)] for mine in columns.values()]
-            rows.append(["their own" if name == "own" else name, *(f"{x.mean():.0%}" if len(x) else "" for x in cells)])
+            mean = by_partner(one[measure])
+            cells = [mean[np.array(mine) & ~np.isnan(mean)] for mine in columns.values()]
+            label = "their own" if name == "own" else name
+            rows.append([label, *(f"{x.mean():{form}}" if len(x) else "" for x in cells)])
     return markdown(["robot", *columns], rows)
 
 
