@@ -41,11 +41,10 @@ TIP = {"scratch": 0.008, "bed_bath": 0.004}  # m, from tool point to skin when t
 MORE = {"scratch": 4, "bed_bath": 8}  # postures of the usual way, beside rest
 OTHERS = 5  # ... and of any other
 DEALT = 30  # postures, at most, of which those are chosen
-SIDES = 48  # around the arm, on which it may be dirty
-NEAR = np.radians([0.0, -2.5, 2.5])  # a side is washed well if those beside it are
+SIDES = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # rad, around the arm, on which it may be dirty
 TOUCHED, BEST = 8, 3  # postures, by side: which are played by what is touched, and again by what was washed
 PLAYED = 14  # postures, at most, in which the robot scratches
-MISSED, SERVED = 4, 0.5  # postures more for those places that none of the usual ones serves so well
+MISSED, SERVED = 4, {"scratch": 0.5, "bed_bath": 0.75}  # postures more for places that none of the usual serves so well
 PLAY_STEPS = {"scratch": 800, "bed_bath": 1000}
 ENOUGH = 4.0  # s of scratching; more is not better
 WAYS = {"scratch": 4, "bed_bath": 3}  # of offering; in one more of bed bath the pair succeeds in 53 %
@@ -222,22 +221,6 @@ def scratched(reach: Reach, postures, cells=slice(None)) -> np.ndarray:
     return np.array([np.minimum(end.scratch_seconds / ENOUGH, 1.0) for end in ends])
 
 
-def with_missed(reach: Reach, usual, worth, possible, promising):
-    """These postures and what each is worth [postures, cells], and MISSED more, which serve cells that none of them
-    does; they are played on those cells alone, and worth nothing elsewhere."""
-    missed = worth.max(0) < SERVED
-    promising = promising * missed * (np.arange(len(possible)) > 0)[:, None]  # rest is among the usual ones
-    more = possible[choose(promising, 2 * PLAYED)[1:]]
-    theirs = np.zeros((len(more), len(missed)))
-    theirs[:, missed] = scratched(reach, more, missed)
-    gained = np.maximum(theirs - worth.max(0), 0.0)
-    picked = [i - 1 for i in choose(np.concatenate([np.zeros((1, len(missed))), gained]), MISSED) if i]
-    print(
-        f"  {missed.mean():.1%} served badly; {gained[picked].max(0).mean():.1%} more with {np.round(more[picked], 2)}"
-    )
-    return np.concatenate([usual, more[picked]]), np.concatenate([worth, theirs[picked]])
-
-
 def dirt(bath, sides) -> np.ndarray:
     """Which points are dirty if these sides [n] rad are [n, points]."""
     return np.cos(np.asarray(bath._angle) - sides[:, None]) >= np.cos(bath.config.dirty)
@@ -256,6 +239,45 @@ def washed(reach: Reach, postures, sides) -> np.ndarray:
     return (share + (share >= reach.env.task.config.success_fraction)) / 2.0
 
 
+def middles(bath) -> np.ndarray:
+    """Where the middle of the dirt is, in rad, that looks to be on each side: three for each [3, sides].
+
+    It looks to be on the side that is the mean of its points, which is up to 10° beside the middle.
+    """
+    turns = np.linspace(-np.pi, np.pi, 15 * len(SIDES), endpoint=False)
+    ups, acrosses = np.asarray(dirt(bath, turns) @ bath._around).T
+    off = np.angle(np.exp(1j * (np.arctan2(acrosses, ups) - SIDES[:, None])))  # [sides, turns]
+    looks = np.abs(off).argmin(0)
+    away = [np.angle(np.exp(1j * (turns[looks == i] - side))) for i, side in enumerate(SIDES)]
+    return np.array([side + np.quantile(some, (0.1, 0.5, 0.9)) for side, some in zip(SIDES, away, strict=True)]).T
+
+
+def washed_around(reach: Reach, postures, which=slice(None)) -> np.ndarray:
+    """`washed` on average of the dirt that looks to be on these of SIDES [postures, sides]."""
+    return np.mean([washed(reach, postures, row[which]) for row in middles(reach.env.task)], 0)
+
+
+def with_missed(reach: Reach, usual, worth, possible, promising):
+    """These postures and what each is worth [postures, places], and up to MISSED more, which serve places that none of
+    them does; they are played on those places alone, and worth nothing elsewhere."""
+    missed = worth.max(0) < SERVED[reach.task]
+    if reach.task == "scratch":
+        promising = promising * missed * (np.arange(len(possible)) > 0)[:, None]  # rest is among the usual ones
+        more = possible[choose(promising, 2 * PLAYED)[1:]]
+        served = scratched(reach, more, missed)
+    else:  # what is best to touch is no guide to where they are washed, so that all are played
+        more = possible[most(washed(reach, possible, SIDES[missed]), BEST)]
+        served = washed_around(reach, more, missed)
+    theirs = np.zeros((len(more), len(missed)))
+    theirs[:, missed] = served
+    gained = np.maximum(theirs - worth.max(0), 0.0)
+    picked = [i - 1 for i in choose(np.concatenate([np.zeros((1, len(missed))), gained]), MISSED) if i]
+    print(
+        f"  {missed.mean():.1%} served badly; {gained[picked].max(0).mean():.1%} more with {np.round(more[picked], 2)}"
+    )
+    return np.concatenate([usual, more[picked]]), np.concatenate([worth, theirs[picked]])
+
+
 def most(worth, count):
     """Rest, which is the first, and the `count` postures that are worth most [postures, places], of each place."""
     return sorted({0, *np.argsort(-worth, axis=0)[:count].ravel()})
@@ -272,11 +294,15 @@ def choose(worth, count):
 def way(task: str, postures, worth) -> dict:
     """Which of these postures, of which the first is rest, serves each place, by what each is worth there."""
     best = (worth + REST[task] * (np.arange(len(postures)) == 0)[:, None]).argmax(0)
+    kept, best = np.unique(np.append(best, 0), return_inverse=True)  # rest is always among them
+    postures, best = postures[kept], best[:-1]
+    if len(kept) > 10:
+        sys.exit(f"{task} has {len(kept)} postures, and a digit for ten.")
     if task == "scratch":
         rows = best.reshape(len(SEGMENTS), *CELLS)
-        told = {part: ["".join(map(str, row)) for row in of] for part, of in zip(SEGMENTS, rows, strict=True)}
+        told = {part: ["".join(str(i) for i in row) for row in of] for part, of in zip(SEGMENTS, rows, strict=True)}
     else:
-        told = {"sides": "".join(map(str, best))}
+        told = {"sides": "".join(str(i) for i in best)}
     return {"postures": np.round(postures, 3).tolist(), **told}
 
 
@@ -312,31 +338,30 @@ def offers(task: str, usual: dict | None = None) -> list[dict]:
     rest, some = touched[0].mean(), touched.any(0).mean()
     print(f"{task}: {len(possible)} postures; {rest:.0%} of the skin touched at rest, {some:.0%} in some")
     promising = neighbourhood(touched * facing**2)
-    sides = np.linspace(-np.pi, np.pi, SIDES, endpoint=False)
     if task == "bed_bath":
         points = np.concatenate([np.asarray(xs) for xs in reach.env.task.points])
         apart = np.linalg.norm(points[:, None] - reach.points, axis=-1)
         near = (apart < AROUND_PAD) & (reach.env.task.segment[:, None] == reach.segment)
-        dirty = dirt(reach.env.task, sides)
+        dirty = dirt(reach.env.task, SIDES)
         reached = ((touched.astype(int) @ near.T >= 2)[:, None] & dirty).sum(2) / dirty.sum(1)
         promising = np.mean([np.roll(reached, d, 1) for d in (-2, -1, 0, 1, 2)], 0)
 
     def worth(postures):
         if task == "scratch":
             return neighbourhood(scratched(reach, postures))
-        return np.mean([washed(reach, postures, sides + d) for d in NEAR], 0)
+        return washed_around(reach, postures)
 
     if usual is None:
         if task == "scratch":
             postures = possible[choose(promising, PLAYED)]
         else:
             postures = possible[most(promising, TOUCHED)]
-            postures = postures[most(washed(reach, postures, sides), BEST)]
+            postures = postures[most(washed(reach, postures, SIDES), BEST)]
         worths = worth(postures)
         chosen = choose(worths, MORE[task])
         tell(postures, worths, chosen)
         best = postures[chosen], worths[chosen]
-        usual = way(task, *(with_missed(reach, *best, possible, promising) if task == "scratch" else best))
+        usual = way(task, *with_missed(reach, *best, possible, promising))
     postures = fresh(np.array(usual["postures"]), possible, promising)
     worths = worth(postures)
     dealt = deal(WAYS[task] - 1, postures, worths)
