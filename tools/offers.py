@@ -9,6 +9,7 @@ arm's skin the robot can reach beside a person at rest, and beside one who moves
 
 What can be touched can still not be scratched or washed well. So the scripted robot plays beside people who hold the
 most promising postures, with an itch in every place and dirt on every side, and each gets the posture that serves best.
+Where none of these serves well, more are played, in bed bath all of them.
 Other people turn the arm in other ways, which are dealt postures in turn, none near one of another way.
 """
 

@@ -298,7 +298,8 @@ def experiments(seeds: int | None = None) -> Iterator[Experiment]:
     for algorithm in ("ippo-rnn", "mappo-rnn"):
         yield from _trainings(algorithm, "default", "", seeds or 2, tasks=some)
     yield from _trainings("masac", "default", "", seeds or 3, tasks=some)
-    yield from _robots("scratch-v3-tastes", "interpolate", 3_000_000, seeds or 2, TASTES)
+    yield from _robots("scratch-v3-tastes", "interpolate", 3_000_000, seeds or 3, TASTES[:3])
+    yield from _robots("scratch-v3-tastes", "interpolate", 3_000_000, seeds or 2, TASTES[3:])
     yield from _robots("scratch-v3", "taught", 4_000_000, seeds, ("best-response", "self-play"))
     yield from _of_former_versions(seeds)
     yield from _of_the_paper(seeds or 1)
