@@ -90,7 +90,7 @@ def test_who_teaches_to_rub_remembers_nothing(name):
 
 
 def test_the_scripted_pair_washes_the_arm_whichever_side_of_it_is_dirty():
-    """Of 96 sides all around it, two may be missed; beside the postures that the robot of version 2 chose it misses 8."""
+    """Of 96 sides all around it, two may be missed; with postures that the robot of version 2 chose, 8 are."""
     env = assistax.make("bed_bath", engine="mujoco")
     task, team = env.task, scripted_team("offer", env)
     sides = jnp.linspace(-jnp.pi, jnp.pi, 96, endpoint=False) + 0.02
