@@ -262,6 +262,8 @@ def with_missed(reach: Reach, usual, worth, possible, promising):
     """These postures and what each is worth [postures, places], and up to MISSED more, which serve places that none of
     them does; they are played on those places alone, and worth nothing elsewhere."""
     missed = worth.max(0) < SERVED[reach.task]
+    if not missed.any():
+        return usual, worth
     if reach.task == "scratch":
         promising = promising * missed * (np.arange(len(possible)) > 0)[:, None]  # rest is among the usual ones
         more = possible[choose(promising, 2 * PLAYED)[1:]]
@@ -301,9 +303,9 @@ def way(task: str, postures, worth) -> dict:
         sys.exit(f"{task} has {len(kept)} postures, and a digit for ten.")
     if task == "scratch":
         rows = best.reshape(len(SEGMENTS), *CELLS)
-        told = {part: ["".join(str(i) for i in row) for row in of] for part, of in zip(SEGMENTS, rows, strict=True)}
+        told = {part: ["".join(map(str, row)) for row in of] for part, of in zip(SEGMENTS, rows, strict=True)}
     else:
-        told = {"sides": "".join(str(i) for i in best)}
+        told = {"sides": "".join(map(str, best))}
     return {"postures": np.round(postures, 3).tolist(), **told}
 
 
