@@ -199,8 +199,10 @@ def test_a_signal_after_the_last_iteration_does_not_wait_for_the_film(during, tm
     result = {"metrics": {"return": np.zeros(2)}, "terms": {}, "filmed": None}
     monkeypatch.setattr(loop._Training, "_start", lambda self: (None, run.iterations, Clock({})))
     monkeypatch.setattr(loop, "summarize", lambda result: {"success_rate": 0.0, "mean_return": 0.0})
-    monkeypatch.setattr(loop, "learning_curve", lambda *_: None)
-    monkeypatch.setattr(loop, "film", lambda *_: (during == "film" and signal_this(), time.sleep(10)))
+    monkeypatch.setattr("assistax.results.figures.learning_curve", lambda *_: None)
+    monkeypatch.setattr(
+        "assistax.evaluation.film.film", lambda *_: (during == "film" and signal_this(), time.sleep(10))
+    )
     play = lambda team: (during == "evaluation" and signal_this(), result)[1]  # noqa: E731
     monkeypatch.setattr(loop, "Evaluator", lambda *_: play)
     began = time.monotonic()

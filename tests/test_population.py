@@ -509,7 +509,7 @@ BRIEF = SMALL | {"evaluations": 1, "evaluation_episodes": 3}
 
 
 def test_a_robot_trains_with_a_population(teams, tmp_path, monkeypatch):
-    monkeypatch.setattr(loop, "film", lambda *_, **__: None)
+    monkeypatch.setattr("assistax.evaluation.film.film", lambda *_, **__: None)
     population = Population.of_teams([(row | {"task": "scratch-v0"}, team) for row, team in teams])
     config = configure("scratch-v0", BRIEF | {"env.human.people": population.people}, num_envs=8, steps=128)
     run = Run.create(config, tmp_path / "run", players={"human": population.partner("human")})
@@ -518,7 +518,7 @@ def test_a_robot_trains_with_a_population(teams, tmp_path, monkeypatch):
 
 
 def test_the_command_gathers_finished_runs(tmp_path, monkeypatch):
-    monkeypatch.setattr(loop, "film", lambda *_, **__: None)
+    monkeypatch.setattr("assistax.evaluation.film.film", lambda *_, **__: None)
     config = configure("scratch", BRIEF | {"env.human.disability": "tremor"}, num_envs=8, steps=64, num_seeds=2)
     run = Run.create(config, tmp_path / "run")
     with pytest.raises(UsageError, match="is not finished"):
@@ -538,7 +538,7 @@ def test_the_command_gathers_finished_runs(tmp_path, monkeypatch):
 
 
 def test_a_population_is_a_partner_by_name(teams, tmp_path, monkeypatch):
-    monkeypatch.setattr(loop, "film", lambda *_, **__: None)
+    monkeypatch.setattr("assistax.evaluation.film.film", lambda *_, **__: None)
     folder = tmp_path / "pop"
     everybody = Population.of_teams([(row | {"task": "scratch-v0"}, team) for row, team in teams])
     scripted = Population.scripted("scratch-v0", [everybody.people[0]], ("offers", "still"))

@@ -8,7 +8,6 @@ Aggregates after Agarwal et al. 2021, "Deep Reinforcement Learning at the Edge o
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy.special import stdtrit
 
 FEW_SEEDS = 10  # with fewer an interval relies on seeds being spread like a normal distribution
 _MOST_DRAWN = 1 << 20  # numbers in memory while resampling
@@ -102,6 +101,8 @@ def seed_ci(
 
 def student_t(freedom: float) -> float:
     """97.5 % quantile of Student's t with `freedom` degrees of freedom."""
+    from scipy.special import stdtrit  # not before: it takes half a second, which a training would wait for
+
     return float(stdtrit(freedom, 0.975))
 
 

@@ -12,12 +12,10 @@ import numpy as np
 
 from assistax.devices import check_devices, sharing
 from assistax.errors import UsageError
-from assistax.evaluation.film import film
 from assistax.evaluation.playing import Evaluator, by_episode, summarize
 from assistax.files import write_json
 from assistax.physics import check_faults
 from assistax.policies import Team
-from assistax.results.figures import learning_curve
 from assistax.results.stored import flat
 from assistax.stamp import peak_memory_mb, stamp
 from assistax.training import journal, pieces
@@ -285,6 +283,9 @@ class _Training:
         write_json(run.folder / "summary.json", summary)
         if not self.pictures:
             return summary
+        from assistax.evaluation.film import film  # not before: a first update would wait a second for Matplotlib
+        from assistax.results.figures import learning_curve
+
         title = f"{config.task}, {config.algorithm} ({config.preset} preset), {steps / 1e6:.1f} M steps"
         learning_curve(journal.read(run.folder, "metrics"), title, run.folder / "learning_curve.png")
         try:
