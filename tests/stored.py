@@ -42,8 +42,8 @@ def randomly(like, seed=0):
 def without_pictures():
     """Trainings end without curve and film, which take as long as a small training."""
     with pytest.MonkeyPatch.context() as patch:
-        for picture in ("learning_curve", "film"):
-            patch.setattr(loop, picture, lambda *_, **__: None)
+        for picture in ("results.figures.learning_curve", "evaluation.film.film"):
+            patch.setattr(f"assistax.{picture}", lambda *_, **__: None)
         yield
 
 

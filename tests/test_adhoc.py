@@ -19,13 +19,14 @@ from assistax.learning.ppo import PPO, PPOConfig
 from assistax.policies import Player, Still, scripted_policy
 from assistax.teamwork.adaptation import Series, about, probe, slope, summarize_series
 from assistax.teamwork.adhoc import Meeting, draws
+from assistax.teamwork.gather import selves_of
 from assistax.teamwork.report import meeting_env, picture, report
 from assistax.teamwork.scores import SCORES, Scale
 from assistax.teamwork.strangers import knows
 from assistax.teamwork.validity import judge, with_robots
 from assistax.training import splits
 from assistax.training.configuration import configure
-from assistax.training.population import Population
+from assistax.training.population import Population, self_of
 from assistax.training.run import Run
 
 CONFIG = PPOConfig(num_steps=4, num_minibatches=1, hidden=(8, 8), initial_log_std=-1.0)
@@ -192,6 +193,19 @@ def test_robots_that_have_met_a_held_out_partner_are_refused(robots, tmp_path):
 
     shy = stored_run(tmp_path / "shy", configure("scratch", SETTINGS, partners=("human=shy",)))
     assert knows(shy, people) == [True, False] and knows(made["br"], people) == [False, False]
+
+    ways = ("offers", "offers_third_way", "shy")
+    people = Population.scripted("tooth_brushing-v2", [Person("none", "default")], ways)  # of which there are two
+    offered = stored_run(tmp_path / "offered", configure("tooth_brushing", SETTINGS, partners=("human=offer",)))
+    assert knows(offered, people) == [True, True, False]
+
+
+def test_another_self_of_who_began_with_another_run_is_known(robots, tmp_path):
+    """A stored partner does not say what the run that it began with was taught."""
+    config = dataclasses.replace(configure("scratch", SETTINGS | {"ppo.teachers": ()}), start="runs/elsewhere")
+    row = {"person": {"disability": "none", "preference": "default"}, "algorithm": "ippo", "seed": 0}
+    assert {self_of(row), self_of(row | {"taught": "shy"})} <= selves_of(config)
+    assert self_of(row | {"seed": 1}) not in selves_of(config)
 
 
 def test_players_from_python_are_told_by_what_they_do(population, two_kinds, tmp_path):

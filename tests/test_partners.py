@@ -57,6 +57,12 @@ def test_a_run_keeps_its_partner(tmp_path, make):
     assert len(stored["partner_copies"][0]) == len("human=") + 64
 
 
+def test_two_partners_for_one_agent_are_refused(tmp_path):
+    with pytest.raises(UsageError, match="The human has two partners; name one"):
+        Run.create(small(partners=("human=still", "human=offer")), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
 def test_who_did_not_learn_in_a_run_is_no_partner_from_it(tmp_path):
     run = stored_run(tmp_path / "run", small(partners=("human=still",)))
     with pytest.raises(UsageError, match=r"The human of .* did not learn; name who played it: human=still"):

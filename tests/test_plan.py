@@ -12,7 +12,7 @@ from assistax.errors import UsageError
 from assistax.evaluation.playing import Evaluator, summarize
 from assistax.human import Person
 from assistax.teamwork import gather as gathering
-from assistax.teamwork.plan import Plan
+from assistax.teamwork.plan import Plan, training
 from assistax.teamwork.plan import train as train_plan
 from assistax.training import journal, loop, splits
 from assistax.training.population import Population
@@ -112,6 +112,20 @@ def test_every_habit_is_taught_as_often_and_another_with_another_seed():
         Plan("scratch", people, taught=("offer",))
     with pytest.raises(UsageError, match="Only PPO can be taught habits: leave out --taught or masac"):
         Plan("scratch", people, ("ippo", "masac"), taught=("offers",))
+
+
+def test_a_plan_with_a_list_is_the_same_when_it_is_named_again(tmp_path):
+    plan = Plan("scratch", (Person("none"),), settings={"ppo.hidden": [64, 64]})
+    plan.save(tmp_path / "plan")
+    plan.save(tmp_path / "plan")
+    assert Plan.load(tmp_path / "plan") == plan
+
+
+def test_a_folder_that_a_killed_worker_had_begun_is_begun_anew(plan, tmp_path, monkeypatch):
+    name, config = next(iter(plan.jobs()))
+    (tmp_path / name / "checkpoints").mkdir(parents=True)
+    monkeypatch.setattr(loop, "train", lambda run, **_: run.folder)
+    assert training(tmp_path / name, config).do() and (tmp_path / name / "config.json").exists()
 
 
 def test_another_plan_is_refused(plan, in_one_go, tmp_path):

@@ -29,7 +29,7 @@ from assistax.teamwork.strangers import knows
 from assistax.training import loop, splits
 from assistax.training.configuration import configure, trained_env
 from assistax.training.partners import find_partner
-from assistax.training.population import Population
+from assistax.training.population import Population, is_population
 from assistax.training.run import Run
 from assistax.training.team_file import params_like
 
@@ -230,6 +230,23 @@ def test_a_split_parts_everybody_and_refuses_what_is_none(population, tmp_path):
         splits.split(population, "extreme")
     with pytest.raises(UsageError, match="the same algorithm"):
         splits.split(population, "algorithm")
+
+
+def test_bodies_are_parted_whole():
+    people = [Person(body, liking) for body in DISABILITIES for liking in ("none", "default")]
+    many = Population.scripted("scratch-v3", people, ("offers",))
+    body = {row["id"]: row["person"]["disability"] for row in many.rows}
+    for kind, number in (("interpolate", 4), ("extrapolate", 4)):
+        parts = splits.split(many, kind)
+        seen, held = ({body[one] for part in some for one in parts[part]} for some in (["train"], ["val", "test"]))
+        assert len(seen) == number and not seen & held and len(seen | held) == 7
+    assert "tremor" in {body[one] for one in splits.split(many, "interpolate")["train"]}  # the strongest of the seven
+
+
+def test_a_name_is_no_population_because_one_is_here(folder, monkeypatch):
+    assert is_population(folder) and is_population(f"{folder}:random/train")
+    monkeypatch.chdir(folder)
+    assert not is_population("still")
 
 
 def test_what_splits_part_by(population):

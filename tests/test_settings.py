@@ -52,6 +52,8 @@ def test_what_has_a_flag_is_not_set_by_name(name, tmp_path):
         ({"ppo.entropy_coef": math.nan}, "ppo.entropy_coef must be a finite number"),
         ({"ppo.learning_rate": 10**400}, "ppo.learning_rate must be a finite number"),
         ({"ppo.value_coef": -1}, "ppo.value_coef must be 0 or more"),
+        ({"ppo.final_log_std": "none"}, "ppo.final_log_std must be a finite number, or None, not 'none'"),
+        ({"ppo.final_log_std": True}, "ppo.final_log_std must be a finite number"),
         ({"evaluations": -1}, "evaluations must be 1 or more"),
         ({"task_config.force": math.inf}, "task_config.force must be a finite number"),
     ],
@@ -67,6 +69,8 @@ def test_the_rest_that_was_taken_though_wrong(tmp_path):
             check_seconds(seconds)
     with pytest.raises(UsageError, match="The width of a picture must be from 16 to 8192 pixels, not 0"):
         Camera("scratch", width=0)
+    with pytest.raises(UsageError, match=r"--set has ppo\.gamma twice; leave out one"):
+        parse_assignments(["ppo.gamma=0.9", "ppo.clip_eps=0.1", "ppo.gamma=0.99"])
     with pytest.raises(UsageError, match=r"ppo\.nosuch"):
         Sweep.create(small(), tmp_path / "sweep", 2, {"ppo.nosuch": "1:2"})
     with pytest.raises(UsageError, match="preset is chosen by --preset"):

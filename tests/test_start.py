@@ -1,6 +1,7 @@
 """Trainings that begin with what another run has learned."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import jax
@@ -13,6 +14,7 @@ from assistax.errors import UsageError
 from assistax.teamwork.gather import gather, taught
 from assistax.teamwork.strangers import knows
 from assistax.training import loop
+from assistax.training.configuration import configure
 from assistax.training.run import Run
 
 LIMITED = {"ppo.cost_limit": 2.0, "evaluations": 1, "evaluation_episodes": 4}
@@ -68,6 +70,26 @@ def test_who_begins_with_a_run_is_not_taught_and_explores_no_more_than_it_did(th
     assert taught(run) == "offers_second_way"
 
 
+def test_who_begins_with_a_run_that_was_stopped_explores_as_it_did(there, tmp_path):
+    stopped = Run.create(Run.open(there).config, tmp_path / "stopped")
+    assert loop.train(stopped, seconds=1e-3) is None  # after an iteration
+    run = like(stopped.folder, tmp_path / "run")
+    assert run.config.method.initial_log_std == pytest.approx(-1.5)  # 64 of the 256 steps from -1 to -3
+
+
+def test_costs_are_in_the_unit_that_the_critic_of_the_run_before_knows(there, tmp_path):
+    run = like(there, tmp_path / "run")
+    state, batch = jax.jit(run.trainer.collect)(fresh(run))
+    batch["cost"] = jnp.ones_like(batch["cost"])
+    improve = jax.jit(run.trainer.improve)
+
+    def after(per_step):
+        begun = replace(state, constraint=replace(state.constraint, per_step=jnp.float32(per_step)))
+        return improve(begun, batch)[0].constraint.per_step
+
+    assert after(0.25) == 0.25 and after(0.0) == 1.0  # that of the first iteration, where nothing was known
+
+
 def test_the_first_iteration_learns_with_the_numbers_that_it_was_played_with(there, tmp_path):
     run = like(there, tmp_path / "run", **{"ppo.learning_rate": 1e-9})
     state, batch = jax.jit(run.trainer.collect)(fresh(run))
@@ -115,6 +137,7 @@ def test_runs_of_several_seeds_or_none_are_refused(there, tmp_path):
     empty = Run.create(small("scratch-v3"), tmp_path / "empty").folder
     for start, said in (
         (two, "is of 2 seeds; begin with a run of one"),
+        (Run.create(configure("scratch-v3", {}, algorithm="masac"), tmp_path / "sac").folder, "masac, not ippo"),
         (empty, "has no checkpoint to begin with"),
         (tmp_path / "nowhere", "nowhere is not a run folder"),
     ):

@@ -120,6 +120,13 @@ def test_what_cannot_be_searched_is_refused_and_no_folder_is_made(search, words,
         Sweep.create(small(), tmp_path / "sweep", 0, SEARCHED)
 
 
+def test_none_and_what_is_the_environments_can_be_searched(tmp_path):
+    search = {"ppo.final_log_std": "None,-2.0", "env.torque_scale": "0.1,0.3"}
+    found = Sweep.create(small(), tmp_path / "sweep", 4, search)
+    assert Sweep.open(tmp_path / "sweep").drawn == found.drawn
+    assert {tuple(one.values()) for one in found.drawn} == {(None, 0.1), (None, 0.3), (-2.0, 0.1), (-2.0, 0.3)}
+
+
 def test_what_is_no_input_gets_a_program_of_its_own(tmp_path):
     sweep = Sweep.create(small(), tmp_path / "sweep", 12, SEARCHED | {"ppo.num_minibatches": "2,4,8"})
     assert sorted(map(len, sweep._programs)) == [4, 4, 4]

@@ -64,6 +64,8 @@ def test_the_loss_and_its_weight_by_hand():
     for floor in (0.0, 0.1):
         weights = [float(teaching_weight(200, floor, steps)) for steps in (0, 50, 200, 900)]
         np.testing.assert_allclose(weights, [1.0, 0.75, floor, floor])
+    ppo = taught(4, 3, teaching_steps=40)
+    assert ppo._teaching(ppo.config, jnp.int32(2**31 - 1)) == 0.0  # however long a run, it does not begin anew
 
 
 def test_what_is_shown_belongs_to_the_state_of_the_learner():

@@ -84,7 +84,7 @@ TEAMWORK: Schema = {"task": str, "people": _PARTS, "gap": {str: object}}  # and 
 EXPERTS: Schema = [{"task": str, "policy": str, "human": _PERSON, "mean_return": float}]
 PEOPLE: Schema = [_PERSON]
 
-_SETTING: Schema = (str, bool, float, [float])
+_SETTING: Schema = (str, bool, float, None, [float])
 _SWEEP_CONFIG: Schema = CONFIG | {"stamp": {"versions": {str: str}, "commit": (str, None)}}
 SWEEP: Schema = {"config": _SWEEP_CONFIG, "search": {str: str}, "drawn": [{str: _SETTING}], "side_by_side?": COUNT}
 TRIAL: Schema = {

@@ -98,6 +98,8 @@ def parse_assignments(assignments: Iterable[str], option: str = "--set") -> dict
         if not equals or not name:
             example = "ppo.learning_rate=3e-4" if option == "--set" else "cores=4"
             raise UsageError(f"{option} takes NAME=VALUE, for example {example}, not {text!r}.")
+        if name in settings:
+            raise UsageError(f"{option} has {name} twice; leave out one.")
         try:
             settings[name] = ast.literal_eval(value)
         except (ValueError, SyntaxError):

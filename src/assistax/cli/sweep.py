@@ -103,6 +103,8 @@ def sweep(
         fixed = parse_assignments(set)
         config = configure(task, fixed, **choices)
         asked = dict(text.partition("=")[::2] for text in search)
+        if len(asked) < len(search):
+            raise UsageError("--search has a name twice; leave out one.")
         if both := [name for name in asked if name in fixed]:
             raise UsageError(f"{both[0]} is both fixed by --set and searched; leave out one.")
         wanted = {name: text for name, text in SEARCH.get(config.group, {}).items() if name not in fixed} | asked

@@ -233,6 +233,8 @@ def _check(out: Path | None, part: str = "test") -> None:
     choose("part", part, ["test", "val"])
     if out is not None and out.suffix != ".json":
         raise UsageError(f"--out must be a .json file, not {out}.")
+    if out is not None and not out.parent.is_dir():
+        raise UsageError(f"The folder {out.parent} of --out does not exist.")
 
 
 def _named(methods: tuple[str, ...]) -> dict:

@@ -63,6 +63,8 @@ HABITS = {
 }
 
 
+ALSO = {"offer": "offers", "offer_slowly": "offers_slowly", "withdraw": "withdraws"}  # scripts that act like a habit
+
 FEELING = 0.1  # s, over which a force is felt
 
 

@@ -227,7 +227,7 @@ def adaptation(
     envs = {
         run.folder: meeting_env(run, population) for run in runs
     }  # who does not fit is refused before anybody plays
-    scale = Scale.of(Meetings(runs[0].config, population, repeats).plain.references())
+    scale = Scale.of(Meetings(runs[0].config, population, repeats).plain.references(seed))
     truths, found = about(population), {}
     for name, runs in methods.items():
         seeds = []

@@ -11,6 +11,7 @@ import numpy as np
 from assistax.errors import UsageError
 from assistax.files import read_json
 from assistax.formats import SUMMARY
+from assistax.policies.habits import ALSO, HABITS
 from assistax.training import journal
 from assistax.training.configuration import TrainConfig
 from assistax.training.population import Population, self_of
@@ -88,9 +89,12 @@ def selves_of(config: TrainConfig) -> set:
     """
     with suppress(UsageError):
         row: dict[str, Any] = {"person": one_person(config, ""), "algorithm": config.algorithm}
-        row |= {"taught": habit} if (habit := _taught(config)) else {}
+        own = _taught(config)
+        # What the run that it began with was taught, a stored configuration does not say: it may have been anything.
+        may = ("", *HABITS, *ALSO) if config.start and not own else (own,)
+        each = [row | ({"taught": habit} if habit else {}) for habit in may]
         learned = not any(text.startswith("human=") for text in config.partners)
-        return {self_of(row | {"seed": seed}) for seed in config.seeds} if learned else set()
+        return {self_of(one | {"seed": seed}) for one in each for seed in config.seeds} if learned else set()
     return set()
 
 

@@ -9,6 +9,7 @@ Every training can be stopped at any moment, and processes may share a plan: eac
 it is the same population, whoever trained what and when.
 """
 
+import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
@@ -33,6 +34,7 @@ from assistax.training.configuration import TrainConfig, configure
 from assistax.training.population import MANIFEST, Population
 from assistax.training.presets import UNTAUGHT
 from assistax.training.run import Run
+from assistax.training.run_folder import newest_checkpoint
 
 WORKERS = "workers"  # folder of their claims and logs
 
@@ -52,6 +54,8 @@ class Plan:
 
     def __post_init__(self):
         object.__setattr__(self, "task", task_spec(self.task).id)
+        settings = {name: tuple(value) if isinstance(value, list) else value for name, value in self.settings.items()}
+        object.__setattr__(self, "settings", settings)  # as it is when it was stored and loaded again
         if self.seeds < 1 or not self.algorithms or not self.people:
             raise UsageError("A population needs one person, algorithm and seed or more.")
         if given := [name for name in self.settings if name.startswith("env.human.") and "visibility" not in name]:
@@ -99,10 +103,9 @@ class Plan:
             raise UsageError(f"{folder} has no plan.json; begin with `assistax population train TASK --out {folder}`.")
         stored = read_json(path, PLAN)
         people = tuple(Person(**person) for person in stored["people"])
-        settings = {k: tuple(v) if isinstance(v, list) else v for k, v in stored["settings"].items()}
         algorithms = tuple(stored["algorithms"])
         sizes = stored["seeds"], stored["steps"], stored["num_envs"]
-        return cls(stored["task"], people, algorithms, *sizes, settings, tuple(stored.get("taught", ())))
+        return cls(stored["task"], people, algorithms, *sizes, stored["settings"], tuple(stored.get("taught", ())))
 
 
 def jobs(folder: Path, bar: Callable = progress_bar) -> list[Job]:
@@ -114,6 +117,8 @@ def training(place: Path, config: TrainConfig, bar: Callable = progress_bar) -> 
     """A training, without pictures, in a run folder of its own."""
 
     def do() -> bool:
+        if place.is_dir() and not (place / "config.json").exists() and newest_checkpoint(place) is None:
+            shutil.rmtree(place)  # of a worker that was killed while it made the folder
         run = Run.open(place) if (place / "config.json").exists() else Run.create(config, place)
         return loop.train(run, bar=bar, pictures=False) is not None
 
@@ -145,7 +150,8 @@ def finish(folder: Path) -> Population | None:
     if (folder / MANIFEST).exists():
         return Population.load(folder)
     population = gather(Run.open(place) for place in places)
-    population.save(folder, beside=("plan.json", "runs", "splits", WORKERS))
+    if not (folder / MANIFEST).exists():  # nor has another machine just written it
+        population.save(folder, beside=("plan.json", "runs", "splits", WORKERS))
     return population
 
 

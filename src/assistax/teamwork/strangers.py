@@ -9,7 +9,8 @@ import numpy as np
 
 from assistax.errors import UsageError
 from assistax.policies import Mixed, Player
-from assistax.policies.habits import HABITS, Habits
+from assistax.policies.habits import ALSO, HABITS, Habits
+from assistax.policies.people import offer
 from assistax.teamwork.crossplay import check_alike
 from assistax.teamwork.gather import selves_of
 from assistax.training.configuration import stored_config
@@ -55,7 +56,7 @@ def knows(run: Run, population: Population) -> list[bool]:
 
 def _met(run: Run, population: Population) -> list[bool]:
     partner = run.partners.get("human")
-    habits = {name for agent, name in map(split_pair, run.config.partners) if agent == "human"}
+    names = [ALSO.get(name, name) for agent, name in map(split_pair, run.config.partners) if agent == "human"]
     people = [partner.player] if partner is not None else [team["human"] for team in run.teams()]
     met = {_fingerprint(actor) for person in people for actor in _actors(person)}
     selves = set()
@@ -65,8 +66,11 @@ def _met(run: Run, population: Population) -> list[bool]:
         selves = {self_of(row) for row in partner.population.rows}
     elif partner.trained is not None:
         selves = selves_of(stored_config(partner.trained, f"the partner of {run.folder}"))
+    ways = offer(run.env).ways
+    habits = [_acts(vars(HABITS[name]), ways) for name in names if name in HABITS]
+    habits += [_acts(habit, ways) for person in people for habit in _habits(person)]
     return [
-        row["habit"] in habits or any(_is_habit(row["habit"], person) for person in people)
+        _acts(vars(HABITS[row["habit"]]), ways) in habits
         if "habit" in row
         else self_of(row) in selves or _fingerprint(population.member(row)["human"]["actor"]) in met
         for row in population.rows
@@ -82,12 +86,17 @@ def _actors(player: Player) -> list:
     return [player.member(i)["actor"] for i in range(player.members)]
 
 
-def _is_habit(name: str, player: Player) -> bool:
-    """Whether somebody with this habit is among a player's members."""
+def _habits(player: Player) -> list[Mapping[str, Any]]:
+    """Of a player's members who have a habit."""
     if isinstance(player, Mixed):
-        return any(_is_habit(name, one) for one in player.players)
-    habit = {key: np.float32(value) for key, value in vars(HABITS[name]).items()}
-    return isinstance(player.policy, Habits) and any(player.member(i) == habit for i in range(player.members))
+        return [habit for one in player.players for habit in _habits(one)]
+    return [player.member(i) for i in range(player.members)] if isinstance(player.policy, Habits) else []
+
+
+def _acts(habit: Mapping[str, Any], ways: int) -> dict[str, np.float32]:
+    """What somebody with a habit does in a task with so many ways to offer, from the last of which it goes on anew."""
+    acts = {key: np.float32(value) for key, value in habit.items()}
+    return acts | {"way": acts["way"] % ways}
 
 
 def _fingerprint(actor: Any) -> bytes:

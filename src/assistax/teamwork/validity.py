@@ -16,7 +16,7 @@ from assistax.env import Env, EnvConfig
 from assistax.errors import UsageError
 from assistax.evaluation.playing import EVALUATION_SEED
 from assistax.results.figures import STYLE
-from assistax.settings import with_settings
+from assistax.settings import check_count, with_settings
 from assistax.stamp import stamp
 from assistax.teamwork.adhoc import CONSIDERATE, Meeting
 from assistax.teamwork.report import Meetings
@@ -159,6 +159,8 @@ def _best(robots: Mapping[str, Mapping[str, np.ndarray]], measure: str) -> dict[
 
 def with_robots(population: Population, sample: int | None = None, seed: int = EVALUATION_SEED) -> Population:
     """The members who have robots, without their earlier selves; or so many of them, at random."""
+    if sample is not None:
+        check_count("sample", sample)
     ids = [row["id"] for row in population.rows if row["robot"] and "fraction" not in row]
     if sample is not None and sample < len(ids):
         ids = sorted(np.random.default_rng(seed).permutation(ids)[:sample].tolist())

@@ -9,7 +9,7 @@ from typing import Any
 from assistax.env import Env, EnvConfig
 from assistax.errors import UsageError
 from assistax.files import read_json
-from assistax.formats import CONFIG
+from assistax.formats import CHECKPOINT, CONFIG
 from assistax.learning.algorithms import ALGORITHMS, Algorithm
 from assistax.learning.ppo.config import most_log_std
 from assistax.learning.trainer import Trainer
@@ -19,6 +19,7 @@ from assistax.settings import check_count, check_seed, with_settings
 from assistax.stamp import stamp
 from assistax.tasks import stored_task, task_spec
 from assistax.training import splits
+from assistax.training.checkpoint import read_metadata
 from assistax.training.population import Population, is_population
 from assistax.training.presets import num_envs, preset
 
@@ -137,7 +138,7 @@ def configure(task: str, settings: dict[str, Any], recurrent=False, share_parame
     if settings.get("env.control", "torque") != "torque":  # the scripted robot plays with torques
         row |= {"teachers": tuple(one for one in row["teachers"] if "robot=" not in one)} if "teachers" in row else {}
     if (start := given.get("start")) and algorithm.group == "ppo":
-        row |= {"teachers": (), "initial_log_std": _last_log_std(read_config(Path(start)))}
+        row |= {"teachers": (), "initial_log_std": _log_std_after(Path(start), algorithm.name)}
     method = with_settings(algorithm.config_type(**algorithm.switches), row)
     fields: dict[str, Any] = {"num_envs": num_envs(name, algorithm.name), "method": method} | given
     config = TrainConfig(spec.id, task_config=spec.config, **fields)
@@ -162,12 +163,19 @@ def people_of(partners: Iterable[str | Population]) -> dict[str, Any]:
     return {}
 
 
-def _last_log_std(config: TrainConfig) -> float:
-    """The most exploration that there may have been at the end of a training by PPO."""
+def _log_std_after(start: Path, algorithm: str) -> float:
+    """The most exploration that there may have been in the last iteration of a training that another begins with."""
+    from assistax.training.run_folder import newest_checkpoint  # which needs this module
+
+    config = read_config(start)
+    if config.algorithm != algorithm:
+        raise UsageError(f"{start} is of the algorithm {config.algorithm}, not {algorithm}.")
     method, per_iteration = config.method, config.num_envs * config.method.num_steps
     if method.final_log_std is None:
         return method.initial_log_std
-    return float(most_log_std(method, config.iterations, per_iteration, config.iterations))
+    path = newest_checkpoint(start)
+    done = config.iterations if path is None else read_metadata(path, CHECKPOINT)["steps"] // per_iteration
+    return float(most_log_std(method, done, per_iteration, config.iterations))
 
 
 def stored_config(stored: Mapping[str, Any], source: str) -> TrainConfig:

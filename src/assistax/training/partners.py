@@ -53,6 +53,8 @@ def find_partners(
     for text in config.partners:
         agent, name = split_pair(text)
         choose("agent", agent, env.agents)
+        if agent in partners:
+            raise UsageError(f"The {agent} has two partners; name one, which may be a population of several.")
         if name == GIVEN:
             if agent not in players:
                 raise UsageError(

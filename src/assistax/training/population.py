@@ -284,7 +284,8 @@ def find(name: Path | str) -> Path:
 
 def is_population(name: str | Path) -> bool:
     """Whether "POP" or "POP:KIND/PART" names a folder that has a manifest."""
-    return any((Path(part) / MANIFEST).is_file() for part in (str(name), str(name).rpartition(":")[0] or "."))
+    folder, colon, _ = str(name).rpartition(":")
+    return (Path(name) / MANIFEST).is_file() or (bool(colon) and (Path(folder) / MANIFEST).is_file())
 
 
 def self_of(row: Mapping[str, Any]) -> tuple | str:

@@ -46,21 +46,16 @@ def extreme(population: Population, rng: np.random.Generator) -> Split:
 
 def interpolate(population: Population, rng: np.random.Generator) -> Split:
     """Train with the strongest and the weakest bodies, test with those between them."""
-    ids = _by_hardship(population)
-    outer = len(ids) // 3
-    middle = ids[outer : len(ids) - outer]
-    rng.shuffle(middle)
-    return {"train": ids[:outer] + ids[len(ids) - outer :], "val": middle[: len(middle) // 4]} | {
-        "test": middle[len(middle) // 4 :]
-    }
+    bodies = _by_hardship(population)
+    outer = len(bodies) // 3
+    last = len(bodies) - outer
+    return _held_out([*bodies[:outer], *bodies[last:]], bodies[outer:last], rng)
 
 
 def extrapolate(population: Population, rng: np.random.Generator) -> Split:
     """Train with the stronger bodies, test with the weakest third."""
-    ids = _by_hardship(population)
-    train, rest = ids[: 2 * len(ids) // 3], ids[2 * len(ids) // 3 :]
-    rng.shuffle(rest)
-    return {"train": train, "val": rest[: len(rest) // 4], "test": rest[len(rest) // 4 :]}
+    bodies = _by_hardship(population)
+    return _held_out(bodies[: 2 * len(bodies) // 3], bodies[2 * len(bodies) // 3 :], rng)
 
 
 def by_disability(population: Population, rng: np.random.Generator) -> Split:
@@ -233,14 +228,23 @@ def _preference(row) -> preference.Preference:
     return preference.parse(words)
 
 
-def _by_hardship(population: Population) -> list[str]:
-    """Ids from the strongest body to the weakest: by strength and motion that is left, then by tremor."""
+def _by_hardship(population: Population) -> list[list[str]]:
+    """The ids of each body, from the strongest to the weakest: by strength and motion that is left, then by tremor."""
 
-    def hardship(row):
-        body = disability.parse(row["person"]["disability"])
-        return float(body.tremor) - float(body.strength) - float(body.motion)
+    def hardship(words):
+        body = disability.parse(words)
+        return float(body.tremor) - float(body.strength) - float(body.motion), words
 
-    return sorted(population.ids, key=lambda one: (hardship(_row(population, one)), one))
+    of = {row["id"]: row["person"]["disability"] for row in population.rows}
+    return [sorted(one for one in of if of[one] == words) for words in sorted(set(of.values()), key=hardship)]
+
+
+def _held_out(train: list[list[str]], rest: list[list[str]], rng: np.random.Generator) -> Split:
+    """Everybody of some bodies to train with; of the others' a quarter to develop with."""
+    ids = [one for body in rest for one in body]
+    rng.shuffle(ids)
+    number = len(ids) // 4
+    return {"train": [one for body in train for one in body], "val": ids[:number], "test": ids[number:]}
 
 
 def _row(population: Population, one: str):

@@ -331,7 +331,10 @@ def _read_unfinished(path: Path, chunk: list[Trial]) -> dict[str, Any] | None:
 def _value(config: TrainConfig, name: str) -> Any:
     """The value of a setting; anything for one that does not exist."""
     group, _, field = name.partition(".")
-    return getattr(config.method if group == config.group else config, field or group, None)
+    found: Any = config.method if group == config.group else config
+    for part in (field if group == config.group else name).split("."):
+        found = getattr(found, part, None)
+    return found
 
 
 class Program:

@@ -74,6 +74,9 @@ class PPOConfig:
             raise UsageError(f"ppo.cost_limit must be a number of 0 or more, or None, not {self.cost_limit!r}.")
         if len(self.multiplier_gains) != 3 or not all(0 <= gain < math.inf for gain in self.multiplier_gains):
             raise UsageError(f"ppo.multiplier_gains must be three numbers of 0 or more, not {self.multiplier_gains}.")
+        last = 0.0 if self.final_log_std is None else self.final_log_std
+        if isinstance(last, bool) or not isinstance(last, int | float) or not math.isfinite(last):
+            raise UsageError(f"ppo.final_log_std must be a finite number, or None, not {self.final_log_std!r}.")
         if not 0 <= self.noise_correlation < 1:
             raise UsageError(f"ppo.noise_correlation must be in [0, 1), not {self.noise_correlation}.")
         if self.correlated_steps < 0:

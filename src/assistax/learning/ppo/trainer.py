@@ -224,7 +224,7 @@ class PPO:
 
     def _teaching(self, c, iteration):
         """The weight of the teacher's term in an iteration."""
-        return teaching_weight(c.teaching_steps, c.teaching_floor, iteration * self.steps_per_iteration)
+        return teaching_weight(c.teaching_steps, c.teaching_floor, iteration * float(self.steps_per_iteration))
 
     def _shown(self, c, state, taught, env_state, obs, reset, key):
         """What the teachers would do, by the learner whom they teach [num_envs, n], and what their scripts remember."""
@@ -294,7 +294,10 @@ class PPO:
         }
         if self.config.constrained:
             constraint = updated(state.constraint, batch["episode_cost"], c.cost_limit, c.multiplier_gains)
-            per_step = constraint.per_step + (batch["cost"].mean() - constraint.per_step) / (state.iteration + 1)
+            # Who began with another run's knowledge has that run's mean in place of the first iteration's.
+            known = (state.iteration == 0) & (constraint.per_step > 0.0)
+            share = jnp.where(known, 0.0, 1.0 / (state.iteration + 1))
+            per_step = constraint.per_step + share * (batch["cost"].mean() - constraint.per_step)
             state = replace(state, constraint=replace(constraint, per_step=per_step))
         samples = self._samples(replace(state, normalizer=used), batch)
         samples = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)

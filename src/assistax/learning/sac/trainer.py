@@ -165,7 +165,7 @@ class SAC:
         policy = replace(self.policy(deterministic=False), noise_correlation=c.noise_correlation)
         act = jax.vmap(policy.act, in_axes=(None, 0, 0, None, 0))
         params = self.policy_params(state)
-        warming_up = state.iteration * self.steps_per_iteration < c.warmup
+        warming_up = state.iteration * float(self.steps_per_iteration) < c.warmup
 
         def play(carry, key):
             env_state, obs, noise, partner_state, others, t = carry
