@@ -69,7 +69,8 @@ What the pair of expert and offering person earns and does to the body:
 ## The expert beside people with habits
 
 Where the person's help is worth much, it matters how and when they help ([who they
-are](populations.md#people-with-habits)). Success, its 95 % interval, and safe success:
+are](populations.md#people-with-habits)). Bed bath has three ways of offering, so that the fourth is the usual one
+there. Success, its 95 % interval, and safe success:
 
 {habits}
 
@@ -88,7 +89,8 @@ Success, and in brackets the mean force in contact in N:
 ## With preferences
 
 Drawn from the paper's sweep at every reset. The considerate expert knows them and keeps speed and force inside; the
-plain one does not. The person is still, but in the columns that begin with "offer".
+plain one does not. The person is still, but in the columns that begin with "offer": there the plain expert works with a
+person who offers.
 
 {considerate}
 
@@ -248,7 +250,7 @@ Longer runs by themselves:
 
 ![Learning curves of longer runs](images/learning_curves_long.png)
 
-The curves are of those that were evaluated while they trained, too.
+A training that was evaluated only at its end has no curve.
 
 ### Cross-play
 

@@ -16,7 +16,8 @@ PAGE = """# Speed
 Everything is included: observations, rewards, auto-reset and, open loop, random actions. "Of the bare engine" is the
 rate over that of physics alone, same scene and states, in alternating rounds. A training is of IPPO, rollouts and
 updates without evaluations; rollouts are environments and policies. Written from `results/bench/*.json`, which
-`assistax bench --all --out FILE` makes, by `python tools/pages.py speed`.
+`assistax bench --all --out FILE` makes, by `python tools/pages.py speed`. Rates are of version 1 of the tasks or of
+version 0, those of the start-up of a later one.
 
 {machines}
 
@@ -29,17 +30,18 @@ for its own implementation on an A100 with 1024 environments. An environment ste
 ## Processes and cores
 
 Steps/s of IPPO without evaluations, while it imitates scripted teachers, of all processes together, medians
-(`benchmarks/executors.py`, `results/bench/executors`). Above, where the commit is of 24 November, the preset had no
-teachers; while they are followed, in the first million steps, a training is about half as fast:
+(`benchmarks/executors.py`, `results/bench/executors`). The trainings above, at commit 56081635354e, had no
+teachers. While teachers are followed a training is about half as fast: for 1 M steps in arm assist, feeding and tooth
+brushing, and to the end in scratch and bed bath, whose `ppo.teaching_floor` is above 0:
 
 {cores}
 
-On two cores a process for each of them, pinned, has {side} times what one process has with both. Rounds differ by up
-to a fifth. More than {bound} times as much cannot be had like this, as one process is {alone} times
-as fast with both cores as with one. What more cores would give was not measured. By these numbers it is the
-following, if of one process's time for a step a part does not get shorter with more cores (Amdahl's law), and
-processes with a core each share nothing. So a list of trainings is shared between a process for each core, unless you
-say otherwise.
+On two cores a process for each of them, pinned, has {side} times what one process has with both. Rounds differ by up to
+a fifth. More than {bound} times as much cannot be had like this, as one process is {alone} times as fast with both
+cores as with one. What more cores would give was not measured. By these numbers it is the following, if of one
+process's time for a step a part does not get shorter with more cores (Amdahl's law), and processes with a core each
+share nothing. So a list of trainings is shared between a process for each core, unless you say otherwise. Not pinned
+these had 5 % more, which is less than rounds differ by; they are pinned so that each has a core of its own.
 
 {predicted}
 

@@ -18,11 +18,12 @@ PAGE = """# Robots that meet strangers
 
 Robots that learned with some people of a [population](partners.md), with these and with others of it, whom they had
 never met. [Ad-hoc teamwork](teamwork.md) says how they learned and what is measured. Intervals are 95 %, for new seeds
-and new partners; of one robot, as of references, for new partners only. The gap is what strangers cost; that of regret
-leaves out that some people are easier to help than others, as it is of what a robot is short of who knows the person.
-The column "beside" compares robots that met the same strangers. "Their own" is the robot that each person learned with,
-who knows them; still, random and expert know nobody, the last one being told all that the simulator knows. Written from
-`results/teamwork/` by `python tools/pages.py strangers`.
+and new partners; of one robot, as of references, for new partners only. The gap is the mean with people of training
+less that with strangers: above 0 strangers are served worse. The regret is what a robot is short of each person's own;
+its gap, too, is training less strangers, so that below 0 strangers are served worse. It leaves out that some people are
+easier to help than others. The column "beside" compares robots that met the same strangers. "Their own" is the robot
+that each person learned with, who knows them; still, random and expert know nobody, the last one being told all that
+the simulator knows. Written from `results/teamwork/` by `python tools/pages.py strangers`.
 
 {each}
 """

@@ -122,12 +122,13 @@ TASKS = {
         "of the 52 points were dirty at the start. Washing a point costs nothing later, and when the last one is "
         "washed, that step pays the reach term, 1, for all steps that are left, too, so that finishing early does not "
         "either",
-        "the pad's middle is within {c.near:g} m of a dirty point and presses on its segment with more than "
-        "{c.touch_force:g} N",
+        "the pad washes: its middle is within {c.near:g} m of a dirty point, with {c.touch_force:g} to "
+        "{c.most_force:g} N on its segment and a speed of {c.speed[0]:g} to {c.speed[1]:g} m/s (measured as below), "
+        "until the point has had its {c.wash_seconds:g} s",
         "{c.success_fraction:.0%} of the dirty points are washed (`fraction_visited`). A point is washed after "
-        "{c.wash_seconds:g} s in all within {c.near:g} m of the pad, with {c.touch_force:g} to {c.most_force:g} N on "
-        "its segment and a speed of {c.speed[0]:g} to {c.speed[1]:g} m/s: the pad's as that segment sees it or its own "
-        "in the room, whichever is less, both velocities low-pass filtered over {c.stroke_seconds:g} s",
+        "{c.wash_seconds:g} s in all within {c.near:g} m of the pad's middle, with {c.touch_force:g} to "
+        "{c.most_force:g} N on its segment and a speed of {c.speed[0]:g} to {c.speed[1]:g} m/s: the pad's as that segment sees it or "
+        "its own in the room, whichever is less, both velocities low-pass filtered over {c.stroke_seconds:g} s",
         "When all dirty points are washed, the episode is terminated.",
         "Which side is dirty: of 52 points, evenly over the skin of the arm, those within {deg[dirty]}° of an angle "
         "around the arm that is uniform.",
@@ -170,7 +171,8 @@ TASKS = {
         },
         "d: distance from the tool point to a place on the forearm {c.grip:g} m from its middle toward the hand (m); "
         "d_H: distance from the middle of the forearm to the waist target (m); σ = {r.SIGMA:g} m²; R: orientations as "
-        "matrices; paid: 1 while the arm is brought back (below), and otherwise {c.unsettled:g}",
+        "matrices; paid: 1 while it helps (below) and the forearm is slower than {c.settled_speed:g} m/s, and "
+        "otherwise {c.unsettled:g}",
         "the middle of the forearm is within {c.waist_distance:g} m of the waist target, having been carried there "
         "below {c.carrying_speed:g} m/s since it last lay still elsewhere",
         "{c.success_seconds:g} s in all in which it helps and the forearm is slower than {c.settled_speed:g} m/s "

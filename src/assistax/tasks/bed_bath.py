@@ -36,13 +36,13 @@ class BedBathConfig:
     speed: tuple[float, float] = (0.0, 1e3)  # m/s, ... at a speed within these,
     wash_seconds: float = 0.0  # s, and is done, once for all, after so long in all; 0: at once, merely visited
     # What counts as speed: the pad's own and over the skin, the lesser, low-pass filtered; 0: over the skin alone.
-    stroke_seconds: float = 0.0  # s
+    stroke_seconds: float = 0.0  # s, of the filter of both velocities; 0: the one over the skin, unfiltered
     wipe_scale: float = 3.0  # per newly visited point; more if fewer than 52 are dirty, the same in all
     sided: bool = False  # whether observations tell on which side how much dirt is, and the way leads around the limb
     # Where it does, a point is as bad to wash next as one that is so much farther away if its skin looks away
     # from the robot, or if the pad has to turn over for it.
-    hidden: float = 0.6  # m
-    turned: float = 0.2  # m
+    hidden: float = 0.6  # m, by which a point counts as farther away if its skin looks away from the robot
+    turned: float = 0.2  # m, by which a point counts as farther away if the pad has to turn over for it
     reach_each: bool = False  # whether every dirty point pays a share of reach, for good once it is washed
     around: bool = False  # whether points are all around the arm, or where height and angle say
     dirty: float = pi  # rad, to either side of where a reset draws: what is to be washed; the rest is clean

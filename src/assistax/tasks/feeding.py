@@ -45,7 +45,7 @@ class FeedingConfig:
     success_seconds: float = 0.5  # s, in all
     # The arm starts with the spoon level. The food is lost when it tips too far while still away from the mouth.
     spill_angle: float = 0.7854  # rad from upright
-    spill_distance: float = 0.1  # m
+    spill_distance: float = 0.1  # m, from the mouth; nearer than this only spill_anywhere counts
     spill_seconds: float = 0.0  # s, for so long in all; 0: at once
     spill_anywhere: float = pi  # rad, from upright, at once, also at the mouth
     # The food feels gravity less the bowl's acceleration, low-pass filtered over so long; 0: gravity alone.

@@ -34,18 +34,18 @@ class ScratchConfig:
     scratch_scale: float = 4.0  # of the scratch term
     pay_help_only: bool = False  # whether the scratch term pays only where it helps, or wherever the tool is near
     # What counts as speed: the stick's own and over the skin, the lesser, low-pass filtered; 0: over the skin alone.
-    stroke_seconds: float = 0.0  # s
+    stroke_seconds: float = 0.0  # s, of the filter of both velocities; 0: the one over the skin, unfiltered
     sided: bool = False  # whether observations tell on which side it itches, and reach leads around the limb to it
     # Where an itch can be: between these fractions of the segment's half-length, and within this
     # angle of the side that faces away from the trunk.
     height: tuple[float, float] = (-0.8, 0.8)
-    angle: float = 1.0  # rad
+    angle: float = 1.0  # rad, at most, of the itch from the side that faces away from the trunk
     spared: tuple[float, float] = (0.0, 0.0)  # rad, on the forearm: where it never itches, as nobody could scratch it
     by_area: bool = False  # whether a segment itches as often as it has skin, or both alike
     # What counts as scratching, and for how long it must last to be a success.
     scratch_distance: float = 0.1  # m, from the tool point to the itch
-    scratch_force: tuple[float, float] = (1.0, 6.0)  # N
-    scratch_speed: tuple[float, float] = (0.03, 0.3)  # m/s
+    scratch_force: tuple[float, float] = (1.0, 6.0)  # N, on that segment, least and most, while it counts as scratching
+    scratch_speed: tuple[float, float] = (0.03, 0.3)  # m/s, least and most, while it counts as scratching
     success_seconds: float = 2.0  # s, in all
 
 

@@ -36,7 +36,7 @@ class ToothBrushingConfig:
     force: float = 1.0  # N, f* of the brush term
     # What counts as brushing, and for how long in all it must last to be a success.
     brush_angle: float = pi  # rad, from the bristles to straight into the face, at most
-    brush_force: tuple[float, float] = (0.3, 3.0)  # N
+    brush_force: tuple[float, float] = (0.3, 3.0)  # N, on the head, least and most, while it counts as brushing
     brush_speed: tuple[float, float] = (0.03, 0.3)  # m/s, across
     success_seconds: float = 2.0  # s, in all
 
