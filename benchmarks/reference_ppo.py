@@ -205,7 +205,7 @@ def evaluated(env: Env, trained: Trained) -> dict[str, Any]:
 
 
 def compare(
-    task: Task = "scratch",
+    task: Task = "scratch-v0",
     *,
     steps: int = 2_000_000,
     num_envs: int | None = None,

@@ -96,6 +96,23 @@ def test_a_population_draws_a_member_for_every_episode_and_begins_it_afresh(env,
     assert changes.tolist() == [LENGTH, LENGTH + between] and len(np.unique(members)) > 2
 
 
+def test_nothing_happens_in_a_step_that_shows_a_new_episode(env):
+    batch, players = batch_of(env), {"human": Player.of(Counting(), jnp.float32(0.5))}
+    _, state = batch.reset(players, jax.random.split(jax.random.key(0), NUM_ENVS))
+    for _ in range(LENGTH + 1):
+        state, out = batch.step("next_step", players, state, {"robot": jnp.ones((NUM_ENVS, 7))})
+    assert not any(np.any(x) for x in jax.tree.leaves([out.info["reward_terms"], out.info["cost"], out.reward]))
+    np.testing.assert_array_equal(out.info["final_observation"]["robot"], out.obs["robot"])
+
+
+def test_who_stays_for_episodes_needs_automatic_resets():
+    staying = assistax.make("scratch-v0", human={"redraw_every": 2})
+    batch = batch_of(staying)
+    _, state = batch.reset({}, jax.random.split(jax.random.key(0), 2))
+    with pytest.raises(assistax.UsageError, match="stays over automatic resets only"):
+        batch.step("disabled", {}, state, {agent: jnp.zeros((2, n)) for agent, n in staying.action_sizes.items()})
+
+
 @pytest.mark.parametrize(
     ("agent", "who", "words"),
     [

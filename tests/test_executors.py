@@ -194,13 +194,15 @@ def test_a_claim_is_held_until_its_owner_is_gone(tmp_path, monkeypatch):
     mine = claims.take(tmp_path, "a", [], 0)
     assert mine and claims.take(tmp_path, "a", [], 0) is None
     (held,) = claims.claims(tmp_path)["a"]
-    assert claims.take(tmp_path, "a", [held], 0) is None and status(tmp_path, [job]).held == 1
+    assert claims.take(tmp_path, "a", [held], 0) is None
+    assert (status(tmp_path, [job]).held, status(tmp_path, [job]).here) == (1, 1)
     mine.release()
     assert status(tmp_path, [job]).open == (job,)
     # on another machine only time tells
     about = json.loads(held.read_text()) | {"machine": "another", "released": False}
     held.write_text(json.dumps(about))
     assert claims.is_held(held)
+    assert (status(tmp_path, [job]).held, status(tmp_path, [job]).here) == (1, 0)  # no worker of this machine's driver
     long_ago = time.time() - claims.LOST - 1
     os.utime(held, (long_ago, long_ago))
     assert not claims.is_held(held)

@@ -486,6 +486,8 @@ def test_a_share_of_the_action_is_random():
         _, state = env.reset(jax.random.key(3))
         actions["human"] = jnp.linspace(-2.0, 1.0, env.action_sizes["human"])
         found[share] = np.asarray(env.motors.wandering(actions, state.phase, state.t * env.dt)["human"])
+        ctrl = env.motors.disturbed(actions, state.person, state.phase, state.t * env.dt)  # what a step applies
+        np.testing.assert_allclose(ctrl, env.motors.controls(actions | {"human": found[share]}), atol=1e-6)
     wanted = np.clip(np.linspace(-2.0, 1.0, len(found[0.0])), -1.0, 1.0)
     np.testing.assert_allclose(np.clip(found[0.0], -1.0, 1.0), wanted, atol=1e-6)
     np.testing.assert_allclose(found[0.25], 0.75 * wanted + 0.25 * found[1.0], atol=1e-6)

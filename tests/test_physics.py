@@ -218,3 +218,5 @@ def test_a_state_that_is_not_finite_is_an_error(model, name):
     assert fault[0] == 0 and fault[1] & UNSTABLE
     with pytest.raises(SimulationError, match="non-finite in 1 of 2"):
         check_faults(fault, name)
+    again = np.asarray(jax.jit(jax.vmap(engine.step))(state, jnp.zeros((2, model.nu))).fault)
+    assert again[0] == 0 and again[1] & UNSTABLE  # not the first time alone

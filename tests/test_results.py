@@ -14,7 +14,7 @@ from assistax import cli
 from assistax.errors import UsageError
 from assistax.evaluation.statistics import student_t
 from assistax.results import comparison, figures
-from assistax.results.stored import StoredRun, best_source, curve, differences, experiments, find_runs
+from assistax.results.stored import StoredRun, _short, best_source, curve, differences, experiments, find_runs
 
 STAMP = {"versions": {"assistax": "0.1.0", "mujoco": "3.17.0", "jax": "0.10.2"}, "commit": "abc", "hardware": "2 cores"}
 CONFIG = {
@@ -107,6 +107,11 @@ def test_runs_that_differ_only_in_seeds_are_one_experiment(tmp_path):
     np.testing.assert_allclose(found.final("mean_return"), [2, 4, 6])
     np.testing.assert_allclose(found.final("force", "mean_in_contact"), [3, 4, 3])
     assert "commit: abc (1 run), def (1 run)" in differences([found])[0]
+
+
+def test_what_differs_behind_the_fortieth_letter_is_told_apart():
+    one, other = (f"/home/somebody/projects/assistax/runs/scratch-{end}" for end in ("weak", "strong"))
+    assert len(_short(one)) == 40 and _short(one) != _short(other) and _short("short") == "short"
 
 
 @pytest.mark.parametrize(

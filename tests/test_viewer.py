@@ -188,7 +188,7 @@ def test_team_and_person_can_be_chosen_while_it_runs(browser):
 
 
 def test_castings_offer_every_team_of_a_task():
-    casting, names = castings("scratch", None, "mujoco", ("env.episode_length=20",))
+    casting, names = castings("scratch", None, "mujoco", ("env.episode_length=20", "env.human.disability=tremor"))
     assert names[:3] == ["trained", "still", "random"]
     env, team = casting("still", ("env.human.disability=weakness",))
     assert env.config.human.disability == "weakness" and env.episode_length == 20

@@ -384,5 +384,6 @@ if __name__ == "__main__":
         sys.exit("python tools/offers.py takes --others or nothing.")
     stored = json.loads(OFFERS.read_text())
     known = {task: ways[0] for task, ways in stored.items()} if sys.argv[1:] == ["--others"] else {}
-    ways = {task: offers(task, known.get(task)) for task in stored}
-    OFFERS.write_text(json.dumps(ways, indent=1) + "\n")
+    for task in stored:
+        stored[task] = offers(task, known.get(task))
+        OFFERS.write_text(json.dumps(stored, indent=1) + "\n")

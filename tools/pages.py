@@ -111,7 +111,7 @@ With preferences:
 def measure(path: Path = REFERENCES) -> str:
     """What scripted policies reach with whom: adds to the records in results/experts.json those that it lacks.
 
-    Remove the file, or some of its records, to measure anew.
+    Remove some of its records to measure anew; those of former versions were made when these were the newest.
     """
     records = read_references(path)
     known = {json.dumps([r["task"], r["policy"], r["human"]]) for r in records}

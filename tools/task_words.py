@@ -127,8 +127,9 @@ TASKS = {
         "until the point has had its {c.wash_seconds:g} s",
         "{c.success_fraction:.0%} of the dirty points are washed (`fraction_visited`). A point is washed after "
         "{c.wash_seconds:g} s in all within {c.near:g} m of the pad's middle, with {c.touch_force:g} to "
-        "{c.most_force:g} N on its segment and a speed of {c.speed[0]:g} to {c.speed[1]:g} m/s: the pad's as that segment sees it or "
-        "its own in the room, whichever is less, both velocities low-pass filtered over {c.stroke_seconds:g} s",
+        "{c.most_force:g} N on its segment and a speed of {c.speed[0]:g} to {c.speed[1]:g} m/s: the pad's as that "
+        "segment sees it or its own in the room, whichever is less, both velocities low-pass filtered over "
+        "{c.stroke_seconds:g} s",
         "When all dirty points are washed, the episode is terminated.",
         "Which side is dirty: of 52 points, evenly over the skin of the arm, those within {deg[dirty]}° of an angle "
         "around the arm that is uniform.",

@@ -313,6 +313,8 @@ class Env:
         )
         noise = jax.random.uniform(key, (2, self.model.nq), minval=-1.0, maxval=1.0) * self._noise
         limits = overrides.get("jnt_range", jnp.asarray(self.model.jnt_range))
+        if not (limited := np.asarray(self.model.jnt_limited, bool)).all():  # the range of a joint without is (0, 0)
+            limits = jnp.where(limited[:, None], limits, np.array([-np.inf, np.inf], np.float32))
         qpos = jnp.clip(self._start + noise[0], limits[:, 0], limits[:, 1])
         phase = jax.random.uniform(phase_key, (self.action_sizes["human"],), maxval=2.0 * jnp.pi)
         seed = jax.random.bits(jax.random.fold_in(key, _SEED), (2,), jnp.uint32)

@@ -158,6 +158,7 @@ class Training:
         from assistax.training.run import Run
 
         if not (work / "config.json").exists():
+            Run.clear(work)
             algorithm, _, memory = self.algorithm.partition("-")
             choices: dict[str, Any] = {"algorithm": algorithm, "recurrent": bool(memory), "preset": self.preset}
             choices |= {"partners": (f"human={self.people[1:]}",)} if self.people in STILL else {}
@@ -191,6 +192,7 @@ class Robot:
         from assistax.training.run import Run
 
         if not (work / "config.json").exists():
+            Run.clear(work)
             method, population = METHODS[self.method], f"populations/{self.population}:{self.split}"
             settings, partners = dict(method.settings), (f"human={population}/{method.beside}",)
             _, people = splits.named(f"{population}/train")

@@ -113,6 +113,8 @@ class Batch:
           actions: by learner [n, size].
         """
         n = len(state.first)
+        if autoreset == "disabled" and self.env.config.human.redraw_every > 1:
+            raise UsageError("Who stays for several episodes stays over automatic resets only: env.human.redraw_every.")
         key, partner_key, env_key, redraw_key = jax.random.split(state.key, 4)
         partners = Partners(self.env, n, players)
         moved, carried = partners.act(state.partners, state.env, state.obs, state.first, partner_key)
@@ -129,7 +131,9 @@ class Batch:
         waits = state.waiting
         final = info["final_observation"]
         shown = {agent: jnp.where(waits[:, None], state.obs[agent], final[agent]) for agent in final}
-        info["fault"] = jnp.where(waits, 0, info["fault"])
+        info["final_observation"] = shown
+        for name in ("fault", "cost", "robot_force", "reward_terms"):  # nothing happened to them
+            info[name] = jax.tree.map(lambda x: jnp.where(waits, jnp.zeros_like(x), x), info[name])
         ends = (terminated & ~waits, truncated & ~waits)
         after = _where(waits, state, after)
         after = BatchState(after.env, after.obs, after.first, done & ~waits, after.partners, key)

@@ -57,11 +57,13 @@ def bench(
         raise UsageError("Name a task, or all of them with --all, not both.")
     seconds = default_seconds() if seconds is None else seconds
     check_seconds(seconds)
+    if preset != "default" and not (train or all):
+        raise UsageError("--preset is of the training; add --train.")
     limit = math.inf if budget is None else duration(budget)
     check_out(out)
     if profile:
-        if task is None or train or out is not None or len(num_envs) > 1:
-            raise UsageError("--profile is of one task at one size, without --all, --train and --out.")
+        if task is None or train or out is not None or budget is not None or len(num_envs) > 1:
+            raise UsageError("--profile is of one task at one size, without --all, --train, --budget and --out.")
         return _profile(task, engine, num_envs[0] if num_envs else 1024, seconds, json)
     tasks = newest_tasks() if task is None else [task_spec(task).id]
     wanted = plan(tasks, engine, num_envs if all or num_envs else (1024,), train or all, preset)

@@ -166,9 +166,12 @@ def aligned(head: list[str], cells: list[list[str]]) -> str:
     return "\n".join("  ".join(f"{x:{w}}" for x, w in zip(row, widths, strict=True)).rstrip() for row in rows)
 
 
-def film_path(out: Path | None) -> Path | None:
-    """`out`, if a film can go there; asked before anything is played."""
+def film_path(out: Path | None, width: int = 2, height: int = 2) -> Path | None:
+    """`out`, if a film of so many pixels can go there; asked before anything is played."""
     from assistax.evaluation.film import check_format
+
+    if (out is None or out.suffix == ".mp4") and (width % 2 or height % 2):
+        raise UsageError(f"Width and height of an .mp4 must be even, not {width} x {height}.")
 
     if out is not None:
         check_format(out)

@@ -1,7 +1,8 @@
 """`assistax population ...`: partners as data."""
 
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -16,8 +17,8 @@ def train(
     task: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="TASK", help_behavior_hint="")] = None,
     *,
     out: File = None,
-    people: str = "8x3",
-    algorithm: str = "ippo",
+    people: Name = None,
+    algorithm: Name = None,
     steps: Number = None,
     seeds: Number = None,
     num_envs: Number = None,
@@ -41,10 +42,10 @@ def train(
     Args:
       task: what to do together.
       out: folder of the population.
-      people: who: 8x3 (healthy and the seven standard disabilities, by three preferences), 7x4 (without the healthy, by
-        one preference more), 8 or 7 (without preferences), opposite (the eight, gentle and brisk), paper630, or a JSON
-        file as for env.human.people.
-      algorithm: one, or several with commas: ippo,mappo,masac.
+      people: who: 8x3, the default (healthy and the seven standard disabilities, by three preferences), 7x4 (without
+        the healthy, by one preference more), 8 or 7 (without preferences), opposite (the eight, gentle and brisk),
+        paper630, or a JSON file as for env.human.people.
+      algorithm: one, or several with commas: ippo,mappo,masac (default ippo).
       steps: of each training (default 5 million).
       seeds: of each person and algorithm (default 1).
       num_envs: environments side by side, of each training (default as in `assistax train`).
@@ -58,6 +59,7 @@ def train(
         address and cores, local cores.
       shard: i/n trains the i-th of n equal parts. Without it machines that share a folder share the work, too.
     """
+    from assistax.executors.jobs import is_worker
     from assistax.files import writing
     from assistax.human import variety
     from assistax.settings import parse_assignments
@@ -65,6 +67,10 @@ def train(
 
     if (task is None) == (resume is None):
         raise UsageError("Name a task and --out to begin a population, or --resume POP to continue one.")
+    given: dict[str, Any] = {"out": out, "people": people, "algorithm": algorithm, "steps": steps, "seeds": seeds}
+    given |= {"num-envs": num_envs, "taught": taught, "set": set or None}
+    if resume is not None and (extra := [name for name, value in given.items() if value is not None]):
+        raise UsageError(f"--resume takes everything from the folder; leave out --{extra[0]}.")
     using = find_executor(processes, executor, executor_set, here=shard is not None)  # asked before anything is written
     if using is not None and shard is not None:
         raise UsageError("Processes share the work among themselves; leave out --shard.")
@@ -72,17 +78,19 @@ def train(
     if task is not None:
         if out is None:
             raise UsageError("Say where the population goes: --out populations/NAME.")
-        sizes = seeds or 1, steps, num_envs
+        sizes = 1 if seeds is None else seeds, steps, num_envs
         habits = tuple(taught.split(",")) if taught else ()
-        who = variety.people(people), tuple(algorithm.split(","))
+        who = variety.people(people or "8x3"), tuple((algorithm or "ippo").split(","))
         wanted = plan.Plan(task, *who, *sizes, parse_assignments(set), habits)
         with writing(out):
             wanted.save(out)
-    folder = Path(out or resume or "")
+    folder = Path(resume or out or "")
     with writing(folder):
         made = plan.train(folder, part) if using is None else plan.train_with(folder, using, processes)
     if made is None:
         print(f"Not all members are finished yet. Continue with: assistax population train --resume {folder}")
+        if not is_worker():
+            sys.exit(130)
     else:
         print(f"{len(made)} members of {made.task} in {folder}")
 

@@ -54,7 +54,7 @@ def render(
     from assistax.evaluation.playing import EVALUATION_SEED, play
 
     choose("view", view, ["auto", "main", "close"])
-    path = film_path(out)
+    path = film_path(out, width, height)
     env, teams, _ = teams_of(target, policy, engine, set, partner)
     result = play(env, teams[0], 1, EVALUATION_SEED if seed is None else seed)
     film_episode(result, path, plain, width=width, height=height, view=view)

@@ -1,5 +1,6 @@
 """`assistax reproduce`."""
 
+import math
 import sys
 from pathlib import Path
 
@@ -46,6 +47,8 @@ def reproduce(
     seconds = None if budget is None else duration(budget)
     chosen = choose_experiments(only, seeds)
     using = find_executor(processes, executor, executor_set, here=True)
+    if using is None and processes is not None and seconds is None:  # this process does all that is missing
+        seconds = math.inf
     if using is not None:
         if seconds is not None:
             raise UsageError("An executor does all that is missing; leave out --budget.")
@@ -54,7 +57,7 @@ def reproduce(
         command += ["--only", only] if only else []
         missing = [job for job in jobs(chosen, results, work) if not job.finished]
         with writing(results):
-            drive(
+            through = drive(
                 work / WORKERS,
                 missing,
                 using,
@@ -75,3 +78,5 @@ def reproduce(
     begun = next((f"{one.name} is {fraction:.1%} done" for one, fraction in left if (work / one.name).exists()), "")
     goes_on = f": {begun}, and the same command continues it" if begun and not finished else ""
     print(f"finished {len(finished)}, {len(left)} left{goes_on}")
+    if using is not None and not through:
+        sys.exit(130)

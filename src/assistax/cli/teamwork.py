@@ -1,5 +1,6 @@
 """`assistax teamwork ...`: robots beside people they have never met."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -74,8 +75,8 @@ def evaluate(
 def best_responses(
     population: Partners = None,
     *,
-    split: str = "random",
-    part: str = "test",
+    split: Name = None,
+    part: Name = None,
     out: File = None,
     steps: Number = None,
     set: Set = (),
@@ -94,8 +95,8 @@ def best_responses(
 
     Args:
       population: the partners.
-      split: of the population, see `assistax population split`.
-      part: test or val.
+      split: of the population, see `assistax population split` (default random).
+      part: test, the default, or val.
       out: folder of the robots.
       steps: of each training (default 5 million).
       set: change any setting of all trainings, for example ppo.gamma=0.98.
@@ -104,6 +105,7 @@ def best_responses(
       executor: local (default), slurm or ray; see docs/clusters.md.
       executor_set: settings of the executor, as in `assistax population train`.
     """
+    from assistax.executors.jobs import is_worker
     from assistax.files import writing
     from assistax.settings import parse_assignments
     from assistax.teamwork import best_responses as bulk
@@ -111,9 +113,10 @@ def best_responses(
 
     if (population is None) == (resume is None):
         raise UsageError("Name a population and --out to begin, or --resume FOLDER to continue.")
-    given = {"out": out, "steps": steps, "set": set or None}
+    given = {"out": out, "split": split, "part": part, "steps": steps, "set": set or None}
     if resume is not None and (extra := [name for name, value in given.items() if value is not None]):
         raise UsageError(f"--resume takes everything from the folder; leave out --{extra[0]}.")
+    split, part = split or "random", part or "test"
     _check(None, part)
     using = find_executor(processes, executor, executor_set)  # asked before anything is written
     folder = resume or out
@@ -127,6 +130,8 @@ def best_responses(
         print(f"{len(bulk.runs_of(folder))} robots in {folder}, for `assistax teamwork evaluate --best-responses`")
     else:
         print(f"Not all robots are finished yet. Continue with: assistax teamwork best-responses --resume {folder}")
+        if not is_worker():
+            sys.exit(130)
 
 
 def adapt(

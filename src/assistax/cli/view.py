@@ -1,6 +1,7 @@
 """`assistax view`."""
 
 import sys
+from collections.abc import Sequence
 
 from assistax.cli.common import Count, File, Name, Number, Set, Switch, Target, teams_of
 
@@ -83,7 +84,7 @@ def castings(target: str, policy: str | None, engine: str | None, given: tuple[s
         names = list(dict.fromkeys([policy or "trained", "trained", *SCRIPTED]))
 
         def of_task(name, settings):
-            env, teams, _ = teams_of(target, name, engine, (*given, *settings))
+            env, teams, _ = teams_of(target, name, engine, _instead(given, settings))
             return env, teams[0]
 
         return of_task, names
@@ -92,7 +93,13 @@ def castings(target: str, policy: str | None, engine: str | None, given: tuple[s
     own = [f"seed {i}" if len(teams) > 1 else "its own" for i in range(len(teams))]
 
     def of_run(name, settings):
-        env, teams, _ = teams_of(target, None, engine, (*given, *settings))
+        env, teams, _ = teams_of(target, None, engine, _instead(given, settings))
         return env, scripted_team(name, env) if name in SCRIPTED else teams[own.index(name)]
 
     return of_run, [*own, *SCRIPTED]
+
+
+def _instead(given: tuple[str, ...], chosen: Sequence[str]) -> tuple[str, ...]:
+    """Settings that were given, with what was chosen later in their place."""
+    names = {text.partition("=")[0] for text in chosen}
+    return (*(text for text in given if text.partition("=")[0] not in names), *chosen)

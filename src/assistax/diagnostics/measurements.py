@@ -96,7 +96,7 @@ def plan(tasks: Sequence[str], engine: str, sizes: Sequence[int], train: bool, p
     for size in sizes:
         check_count("num_envs", size)
     on_cpu = jax.default_backend() == "cpu"
-    chosen = tuple(sizes) or (CPU_SIZES if on_cpu else ACCELERATOR_SIZES)
+    chosen = tuple(dict.fromkeys(sizes)) or (CPU_SIZES if on_cpu else ACCELERATOR_SIZES)
     training_sizes: tuple[int | None, ...] = (None,) if on_cpu and not sizes else chosen
     found = []
     for i, size in enumerate(chosen):

@@ -25,6 +25,7 @@ class Executor(Protocol):
     """Starts worker processes somewhere; its settings are the fields of a dataclass."""
 
     seconds: float  # between two looks at the workers
+    elsewhere: bool  # whether these are on other machines, too
 
     def room(self, workers: int | None, jobs: int) -> int:
         """How many workers there will be, if so many (None: as many as make sense) are asked for so many jobs.
@@ -90,8 +91,10 @@ def drive(
                 fruitless = fruitless + ended if free and begun == begun_before else 0
                 if fruitless >= 3:
                     raise UsageError(f"Workers end before they begin a job: {_last_line(folder / 'logs')}")
-                busy = max(len(crew), now.held)  # workers of an earlier driver may be at work, too
-                if (more := min(workers - busy, free - max(0, len(crew) - now.held), len(jobs))) > 0:
+                # Workers of an earlier driver may be at work, too; what other machines do is no worker of this one.
+                held = now.held if using.elsewhere else now.here
+                busy = max(len(crew), held)
+                if (more := min(workers - busy, free - max(0, len(crew) - held), len(jobs))) > 0:
                     crew += using.start(command, _logs(folder / "logs", started, more))
                     started += more
                 elif failed and not free and not now.held:

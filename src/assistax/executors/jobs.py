@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from assistax.errors import AssistaxError
-from assistax.executors.claims import claims, is_held, read, take
+from assistax.executors.claims import claims, is_held, machine, read, take
 
 WORKER = "ASSISTAX_WORKER"  # in the environment of what an executor has started: the process that did so
 
@@ -37,13 +37,14 @@ class Status:
     done: int  # of the sizes of all
     finished: int
     held: int  # by somebody
+    here: int  # of these, by processes of this machine
     open: tuple[Job, ...]  # nobody has them; first those that were lost or failed least often
 
 
 def status(folder: Path, jobs: Sequence[Job], known: set[str] | None = None) -> Status:
     """Of jobs whose claims lie in `folder`; `known` are finished, and those found to be are added."""
     known, found = set() if known is None else known, claims(folder)
-    done, held, free = 0, 0, []
+    done, held, here, free = 0, 0, 0, []
     for job in jobs:
         done_of_it = job.size if job.name in known else min(job.size, job.done())
         done += done_of_it
@@ -51,10 +52,11 @@ def status(folder: Path, jobs: Sequence[Job], known: set[str] | None = None) -> 
             known.add(job.name)
         elif (mine := found.get(job.name, [])) and is_held(mine[-1]):
             held += 1
+            here += read(mine[-1]).get("machine") == machine()
         else:
             free.append(job)
     free.sort(key=lambda job: sum(map(_is_lost, found.get(job.name, []))))
-    return Status(done, sum(job.name in known for job in jobs), held, tuple(free))
+    return Status(done, sum(job.name in known for job in jobs), held, here, tuple(free))
 
 
 def _is_lost(claim: Path) -> bool:

@@ -33,6 +33,7 @@ class Local:
 
     cores: int = 0
     seconds = 0.5
+    elsewhere = False
 
     def room(self, workers: int | None, jobs: int) -> int:
         """One worker for each core, or for so many `cores`, but no more than there are jobs and memory for."""
@@ -40,7 +41,7 @@ class Local:
         if not 0 <= self.cores <= len(mine):
             raise UsageError(f"cores must be 1 to {len(mine)}, those of this machine, not {self.cores}.")
         places = len(mine) // max(1, self.cores)
-        count = min(places, max(1, int(memory_gb() / GB_EACH)), jobs) if workers is None else workers
+        count = max(1, int(min(places, memory_gb() / GB_EACH, jobs))) if workers is None else workers
         if not 1 <= count <= places:
             each = f" of {self.cores} cores each" if self.cores > 1 else ""
             raise UsageError(f"--processes must be 1 to {places}{each}, the cores of this machine, not {count}.")

@@ -20,6 +20,7 @@ class Ray:
     address: str = ""
     cores: int = 1
     seconds = 1.0
+    elsewhere = True
 
     def room(self, workers: int | None, jobs: int) -> int:
         try:

@@ -53,6 +53,7 @@ class Slurm:
     options: str = ""  # qos=high,account=me
     cluster: str = "slurm"  # or local: submitit's processes on this machine
     seconds = 5.0
+    elsewhere = True
 
     def room(self, workers: int | None, jobs: int) -> int:
         try:

@@ -113,12 +113,12 @@ class MujocoEngine(Engine):
     @staticmethod
     def _watch(batch: Batch, call: Callable[[], None]) -> np.ndarray:
         """Make the call; fault bits [n] from the errors and warnings it caused."""
-        before = batch.warning[..., 1].copy()
+        batch.warning[...] = 0  # a state that is not finite makes MuJoCo clear them, so that no rise would tell
         failed = np.zeros(batch.nsim, bool)
         try:
             call()
         except SimulationError:  # out of memory for contacts; these keep the state they had
             failed = batch.status != 0
-        warned = batch.warning[..., 1] > before
+        warned = batch.warning[..., 1] > 0
         unstable = warned[:, _BAD].any(1) | ~np.isfinite(batch.qpos).all(1)
         return (UNSTABLE * unstable + OVERFLOW * (failed | warned[:, _FULL].any(1))).astype(np.int32)

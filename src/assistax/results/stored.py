@@ -5,6 +5,7 @@ is averaged. Reads what `training` writes and needs no checkpoints, so that fold
 """
 
 import dataclasses
+import hashlib
 import json
 import os
 from collections import Counter, defaultdict
@@ -207,7 +208,7 @@ def experiments(runs: Sequence[StoredRun]) -> list[Experiment]:
         apart = defaultdict(list)
         for run in group:
             values = [run.settings.get(name, "unknown") for name in varied]
-            apart[" ".join(f"{name}={str(v)[:40]}" for name, v in zip(varied, values, strict=True))].append(run)
+            apart[" ".join(f"{name}={_short(v)}" for name, v in zip(varied, values, strict=True))].append(run)
         for note, pooled in apart.items():
             found.append(Experiment(task, person, dataclasses.replace(method, note=note), tuple(pooled)))
             _check_pooled(found[-1])
@@ -216,6 +217,12 @@ def experiments(runs: Sequence[StoredRun]) -> list[Experiment]:
         return list(TASKS).index(e.task), e.person != "none", e.person, dataclasses.astuple(e.method)
 
     return sorted(found, key=order)
+
+
+def _short(value: Any) -> str:
+    """In 40 characters, different for what is different."""
+    text = str(value)
+    return text if len(text) <= 40 else f"{text[:31]}~{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
 def _person(settings: dict[str, Any]) -> str:

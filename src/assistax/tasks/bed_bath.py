@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from assistax.errors import UsageError
 from assistax.filters import low_pass
 from assistax.pytree import pytree
 from assistax.scenes import BED_VIEW, RIGHT_ARM, SceneConfig, geometry, limited
@@ -86,6 +87,10 @@ class BedBath:
             for ns, (_, up, side) in zip(self.normals, skins, strict=True)
         ]
         self._angle = jnp.concatenate(angles)  # [52] rad, around the limb from its upper side
+        around = np.sort(np.asarray(self._angle))
+        least = float(np.diff(around, append=around[0] + 2.0 * pi).max()) / 2.0
+        if config.dirty < least:
+            raise UsageError(f"task_config.dirty must be {least:.3f} rad or more: some arms would have no dirt at all.")
         self._around = jnp.stack([jnp.cos(self._angle), jnp.sin(self._angle)], 1)
         self.spots = dict(zip(bodies, self.points, strict=True))
         self._axis = jnp.array([limb.axis for limb, _ in limbs])

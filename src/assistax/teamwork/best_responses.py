@@ -6,6 +6,7 @@ runs/                 a run folder for each of the robots, see training/run.py
 workers/              who trains what, see executors/claims.py
 """
 
+import shutil
 import sys
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -31,9 +32,13 @@ def begin(folder: Path, partners: Population, steps: int | None, settings: Mappi
     if folder.exists() and any(folder.iterdir()):
         raise UsageError(f"{folder} is not empty; to continue what was begun there, use --resume {folder}.")
     configure(partners.task, dict(settings), steps=steps)  # settings that cannot be are refused at once
-    for one in partners.ids:
-        partners.select([one]).save(folder / "partners" / one[:12])
-    write_json(folder / ABOUT, {"task": partners.task, "steps": steps, "settings": dict(settings)})
+    try:
+        for one in partners.ids:
+            partners.select([one]).save(folder / "partners" / one[:12])
+        write_json(folder / ABOUT, {"task": partners.task, "steps": steps, "settings": dict(settings)})
+    except BaseException:  # Ctrl-C, too: without ABOUT nothing could continue it
+        shutil.rmtree(folder / "partners", ignore_errors=True)
+        raise
 
 
 def jobs(folder: Path, bar: Callable = progress_bar) -> list[Job]:

@@ -9,7 +9,6 @@ Every training can be stopped at any moment, and processes may share a plan: eac
 it is the same population, whoever trained what and when.
 """
 
-import shutil
 import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
@@ -34,7 +33,6 @@ from assistax.training.configuration import TrainConfig, configure
 from assistax.training.population import MANIFEST, Population
 from assistax.training.presets import UNTAUGHT
 from assistax.training.run import Run
-from assistax.training.run_folder import newest_checkpoint
 
 WORKERS = "workers"  # folder of their claims and logs
 
@@ -117,8 +115,7 @@ def training(place: Path, config: TrainConfig, bar: Callable = progress_bar) -> 
     """A training, without pictures, in a run folder of its own."""
 
     def do() -> bool:
-        if place.is_dir() and not (place / "config.json").exists() and newest_checkpoint(place) is None:
-            shutil.rmtree(place)  # of a worker that was killed while it made the folder
+        Run.clear(place)
         run = Run.open(place) if (place / "config.json").exists() else Run.create(config, place)
         return loop.train(run, bar=bar, pictures=False) is not None
 

@@ -19,7 +19,7 @@ from assistax.env import Env
 from assistax.errors import UsageError
 from assistax.evaluation.playing import EVALUATION_SEED
 from assistax.policies import Player
-from assistax.results.figures import STYLE
+from assistax.results.figures import STYLE, save
 from assistax.stamp import stamp
 from assistax.teamwork.adhoc import HURT, Meeting, only
 from assistax.teamwork.scores import SCORES, by_pair, difference, gap, scales, summarize
@@ -210,7 +210,7 @@ def picture(found: Mapping[str, Any], path: Path) -> None:
         axes.set_ylabel(measure.replace("_", " "))
         axes.set_title(f"{found['task']}, 95 % intervals over seeds and partners")
         axes.legend(title="partners")
-        figure.savefig(path, dpi=150)
+        save(figure, path, dpi=150)
 
 
 def _cell(one: Mapping[str, Any]) -> str:

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from assistax.env import Env, EnvConfig
 from assistax.errors import UsageError
 from assistax.evaluation.playing import EVALUATION_SEED
-from assistax.results.figures import STYLE
+from assistax.results.figures import STYLE, save
 from assistax.settings import check_count, with_settings
 from assistax.stamp import stamp
 from assistax.teamwork.adhoc import CONSIDERATE, Meeting
@@ -182,7 +182,7 @@ def matrix_picture(found: Mapping[str, Any], path: Path) -> None:
             axes.set_xlabel("person of member")
             axes.set_ylabel("robot of member")
             figure.colorbar(shown, ax=axes, shrink=0.8)
-        figure.savefig(path, dpi=150)
+        save(figure, path, dpi=150)
 
 
 def number(measure: str, x: float) -> str:

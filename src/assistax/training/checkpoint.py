@@ -51,6 +51,11 @@ def read_metadata(path: Path, schema: Schema = object) -> dict[str, Any]:
         return parse_json(file.metadata()["about"], schema, f"what {path} says of itself")
 
 
+def newest_checkpoint(folder: Path) -> Path | None:
+    """Of a run's folder; None if there is none."""
+    return max((folder / "checkpoints").glob("step_*.safetensors"), default=None)
+
+
 def content_hash(path: Path) -> str:
     """SHA-256 of all that was saved in a file, names and metadata included; of the file itself if it has no sums."""
     with _opened(path) as file:

@@ -19,7 +19,7 @@ from assistax.settings import check_count, check_seed, with_settings
 from assistax.stamp import stamp
 from assistax.tasks import stored_task, task_spec
 from assistax.training import splits
-from assistax.training.checkpoint import read_metadata
+from assistax.training.checkpoint import newest_checkpoint, read_metadata
 from assistax.training.population import Population, is_population
 from assistax.training.presets import num_envs, preset
 
@@ -165,8 +165,6 @@ def people_of(partners: Iterable[str | Population]) -> dict[str, Any]:
 
 def _log_std_after(start: Path, algorithm: str) -> float:
     """The most exploration that there may have been in the last iteration of a training that another begins with."""
-    from assistax.training.run_folder import newest_checkpoint  # which needs this module
-
     config = read_config(start)
     if config.algorithm != algorithm:
         raise UsageError(f"{start} is of the algorithm {config.algorithm}, not {algorithm}.")

@@ -287,7 +287,8 @@ class _Training:
         from assistax.results.figures import learning_curve
 
         title = f"{config.task}, {config.algorithm} ({config.preset} preset), {steps / 1e6:.1f} M steps"
-        learning_curve(journal.read(run.folder, "metrics"), title, run.folder / "learning_curve.png")
+        if rows := journal.read(run.folder, "metrics"):
+            learning_curve(rows, title, run.folder / "learning_curve.png")
         try:
             film(results[0]["filmed"], run.folder / "rollout.mp4")
             self.loggers.film(steps, run.folder / "rollout.mp4")

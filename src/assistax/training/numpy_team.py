@@ -1,6 +1,7 @@
 """Trained teams in NumPy, from wherever they are stored: see inference.py."""
 
 from pathlib import Path
+from zipfile import BadZipFile
 
 from assistax.errors import UsageError
 from assistax.inference import NumPyTeam
@@ -18,7 +19,10 @@ def load_team(target: str | Path) -> NumPyTeam:
     """
     path = Path(target)
     if path.suffix == ".npz":
-        return NumPyTeam.load(path)
+        try:
+            return NumPyTeam.load(path)
+        except (OSError, KeyError, ValueError, BadZipFile) as error:
+            raise UsageError(f"Cannot read a team from {path}: {str(error) or type(error).__name__}.") from None
     if path.is_dir():
         team = Run.open(path).teams(deterministic=True)[0]
     else:

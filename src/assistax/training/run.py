@@ -26,11 +26,11 @@ from assistax.formats import CONFIG, SUMMARY
 from assistax.policies import Player, Team
 from assistax.settings import with_settings
 from assistax.stamp import stamp_changes
-from assistax.training.checkpoint import read_metadata
+from assistax.training.checkpoint import newest_checkpoint, read_metadata
 from assistax.training.configuration import TrainConfig, check_settings, read_config, to_json
 from assistax.training.memory import check_memory
 from assistax.training.partners import GIVEN, find_partners, keep_partners
-from assistax.training.run_folder import learned, newest_checkpoint, playable, snapshot
+from assistax.training.run_folder import learned, playable, snapshot
 from assistax.training.seeds import Seeds
 from assistax.training.start import begin, keep_start
 
@@ -82,6 +82,12 @@ class Run:
             shutil.rmtree(folder, ignore_errors=True)
             raise
         return run
+
+    @staticmethod
+    def clear(folder: Path) -> None:
+        """Remove what is left of a run whose process was killed while it made the folder."""
+        if folder.is_dir() and not (folder / "config.json").exists() and newest_checkpoint(folder) is None:
+            shutil.rmtree(folder)
 
     @property
     def start(self) -> Path | None:

@@ -9,17 +9,12 @@ import jax
 from assistax.errors import UsageError
 from assistax.formats import CHECKPOINT
 from assistax.tasks import stored_task
-from assistax.training.checkpoint import EVERYTHING, load_checkpoint, read_metadata, save_checkpoint
+from assistax.training.checkpoint import EVERYTHING, load_checkpoint, newest_checkpoint, read_metadata, save_checkpoint
 from assistax.training.configuration import TrainConfig
 from assistax.training.seeds import Seeds
 from assistax.training.team_file import in_half, params_like
 
 POLICIES = "policies.safetensors"
-
-
-def newest_checkpoint(folder: Path) -> Path | None:
-    """Of a run's folder; None if there is none."""
-    return max((folder / "checkpoints").glob("step_*.safetensors"), default=None)
 
 
 def check_checkpoint(path: Path, config: TrainConfig) -> dict[str, Any]:

@@ -14,9 +14,9 @@ import jax
 from assistax.errors import UsageError
 from assistax.files import writing
 from assistax.learning.trainer import Trainer
-from assistax.training.checkpoint import load_checkpoint
+from assistax.training.checkpoint import load_checkpoint, newest_checkpoint
 from assistax.training.configuration import TrainConfig, read_config
-from assistax.training.run_folder import check_checkpoint, newest_checkpoint
+from assistax.training.run_folder import check_checkpoint
 from assistax.training.seeds import Seeds
 
 

@@ -50,7 +50,7 @@ class Browser:
         self._steps = 0  # control steps, of all episodes
         self._exit = ExitStack()
         self.server = self._exit.enter_context(serving(host, port))
-        self.url = f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{port}"
+        self.url = f"http://{'localhost' if host in ('127.0.0.1', '0.0.0.0') else host}:{self.server.get_port()}"
         self.panel = Panel(self.server, teams, self.wish)
         self._build()
         self._then = time.perf_counter()
