@@ -235,6 +235,12 @@ def test_everybodys_own_robot_may_be_of_another_architecture(population, two_kin
         np.testing.assert_allclose(own[row], everybody(robot)["return"][row], rtol=1e-4)
 
 
+def test_nothing_is_random_and_nobody_stays_where_robots_are_measured(population, tmp_path):
+    settings = SETTINGS | {"env.human.random_share": 0.25, "env.human.redraw_every": 3}
+    human = meeting_env(stored_run(tmp_path / "e3t", configure("scratch", settings)), population).config.human
+    assert (human.random_share, human.redraw_every) == (0.0, 1)
+
+
 def test_robots_of_other_settings_are_not_compared(robots, tmp_path):
     root, made = robots
     settings = {k: v for k, v in SETTINGS.items() if "human" not in k} | {"env.episode_length": 30}

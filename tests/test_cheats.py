@@ -176,6 +176,29 @@ class LeavesAgain:
         return jnp.where(state.task.seconds_at_waist > 0.6, away, action), carry
 
 
+class Hops(Laid):
+    """Lays the pad on the dirt twice a second, from 6 cm beside it, without strokes."""
+
+    force = 5.0
+
+    def initial_carry(self):
+        return {"t": jnp.float32(0.0)}
+
+    def goal(self, carry, s, task, pos, rot, manner):
+        goal, _ = super().goal((), s, task, pos, rot, manner)
+        bath, t = self.env.task, carry["t"]
+        axis = bath.axes(s)[jnp.asarray(bath.segment)[bath.target(s, task)]]
+        near = norm(goal.pos - pos) < 0.15
+        up = near & (t % 0.45 < 0.2)
+        beside = 0.06 * jnp.where(t // 0.45 % 2 == 0, 1.0, -1.0) * axis - 0.015 * goal.rot[:, 2]
+        return goal._replace(
+            pos=goal.pos + up * beside,
+            speed=jnp.where(near, 0.8, goal.speed),
+            press=jnp.where(up, 0.0, goal.press),
+            free=jnp.where(up, 0.0, goal.free),
+        ), {"t": t + DT}
+
+
 CHEATS = {  # by name: the task, the version in which it scores, the robot and the person
     "a head that shakes under a brush at rest": ("tooth_brushing", 1, RestingBrush, Shakes),
     "brushing a cheek": ("tooth_brushing", 1, partial(Beside, left=-0.037, above=0.0), offer),
@@ -200,3 +223,8 @@ def test_a_cheat_scores_nothing(cheat):
     task, former, robot, person = CHEATS[cheat]
     assert scores(f"{task}-v{former}", robot, person).mean() >= 0.5
     assert scores(task, robot, person).sum() == 0
+
+
+@pytest.mark.xfail(strict=True, reason="version 3 filters velocities while the pad is in the air, too")
+def test_a_pad_that_hops_washes_nothing():
+    assert scores("bed_bath", Hops, offer).sum() == 0

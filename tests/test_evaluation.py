@@ -1,5 +1,6 @@
 """Evaluations: the same numbers however many episodes are played at once, in memory that does not grow with them."""
 
+import dataclasses
 import tracemalloc
 from dataclasses import dataclass
 
@@ -7,13 +8,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from stored import small, train_without_pictures
 
-from assistax.errors import UsageError
+import assistax
+from assistax.errors import SimulationError, UsageError
 from assistax.evaluation import playing
 from assistax.evaluation.distribution import Distribution
 from assistax.evaluation.playing import play, summarize, typical
 from assistax.evaluation.statistics import bootstrap_ci
+from assistax.physics.engine import OVERFLOW
 from assistax.policies import Player, Still, scripted_team
+from assistax.training.run import Run
 
 
 @dataclass(frozen=True)
@@ -104,3 +109,33 @@ def test_the_bootstrap_is_the_plain_one_in_flat_memory():
     bootstrap_ci(np.ones(100_000), 100)
     assert tracemalloc.get_traced_memory()[1] < 40e6  # at once 160 MB
     tracemalloc.stop()
+
+
+def test_what_follows_an_early_end_does_not_count(monkeypatch):
+    env = assistax.make("scratch-v0", engine="mujoco", episode_length=20)
+
+    def later(sensors, state):
+        return dataclasses.replace(state, scratch_seconds=state.scratch_seconds + 1.0)
+
+    monkeypatch.setattr(env.task, "advance", later)
+    monkeypatch.setattr(env.task, "terminated", lambda state: state.scratch_seconds >= 7.0)
+    result = play(env, scripted_team("random", env), 3)
+    assert result["metrics"]["length"].tolist() == [7] * 3 and len(result["filmed"].qpos) == 7
+    np.testing.assert_allclose(result["metrics"]["return"], sum(result["terms"].values()), rtol=1e-5)
+    assert result["force"]._counts.sum() == 21
+
+
+def test_lost_contacts_stop_an_evaluation_and_a_training(tmp_path, monkeypatch):
+    def overflowing(env):
+        step = env.engine.step
+        lost = lambda state, ctrl: dataclasses.replace(step(state, ctrl), fault=jnp.int32(OVERFLOW))  # noqa: E731
+        monkeypatch.setattr(env.engine, "step", lost)
+        return env
+
+    env = overflowing(assistax.make("scratch-v0", engine="mujoco", episode_length=3))
+    with pytest.raises(SimulationError, match="memory"):
+        play(env, scripted_team("still", env), 2)
+    run = Run.create(small(steps=64), tmp_path / "run")
+    overflowing(run.env)
+    with pytest.raises(SimulationError, match="memory"):
+        train_without_pictures(run)

@@ -9,8 +9,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from stored import small, stored_run
 
 import assistax
+from assistax.cli.export import export
 from assistax.errors import UsageError
 from assistax.inference import NumPyTeam
 from assistax.learning.algorithms import ALGORITHMS
@@ -71,6 +73,22 @@ def test_what_is_saved_plays_with_numpy_alone(tmp_path):
     code += "print(t.act({'robot': np.zeros(34)})['robot'].shape, 'jax' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "(7,) False"
+
+
+def test_a_run_folder_and_what_was_exported_of_it_act_alike(tmp_path):
+    run = stored_run(tmp_path / "run", small(num_seeds=2))
+    export(run.folder, out=tmp_path / "team.npz", seed=0)
+    obs = {agent: np.ones(size) for agent, size in run.env.observation_sizes.items()}
+    wanted = as_numpy(run.teams()[0]).act(obs)["robot"]
+    for what in (run.folder, tmp_path / "team.npz"):
+        np.testing.assert_allclose(assistax.load_team(what).act(obs)["robot"], wanted, atol=1e-6)
+    for name, content in (("nowhere.npz", None), ("foreign.npz", b"PK"), ("other.npz", {"a": np.zeros(2)})):
+        if isinstance(content, dict):
+            np.savez(tmp_path / name, **content)
+        elif content:
+            (tmp_path / name).write_bytes(content)
+        with pytest.raises(UsageError, match=f"Cannot read a team from .*{name}"):
+            assistax.load_team(tmp_path / name)
 
 
 def test_a_scripted_agent_is_one_line(scratch):

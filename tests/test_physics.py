@@ -1,6 +1,7 @@
 """The three engines: against MuJoCo, against each other, and when things go wrong."""
 
 import dataclasses
+import sys
 from functools import cache
 
 import jax
@@ -12,7 +13,7 @@ from kinematics import touching_pose
 
 from assistax import scenes
 from assistax.errors import SimulationError
-from assistax.physics import PUSH, check_faults, make_engine
+from assistax.physics import PUSH, check_faults, make_engine, resolve_engine
 from assistax.physics.engine import OVERFLOW, UNSTABLE
 from assistax.tasks import task_spec
 
@@ -205,6 +206,17 @@ def test_lost_contacts_are_an_error_that_names_the_setting(pressing, name, buffe
     assert (np.asarray(state.fault) & OVERFLOW).any()
     with pytest.raises(SimulationError, match=setting):
         check_faults(state.fault, name)
+
+
+@pytest.mark.parametrize(
+    ("platform", "there", "engine"),
+    [("cpu", True, "mujoco"), ("gpu", True, "warp"), ("gpu", False, "mjx"), ("tpu", True, "mjx")],
+)
+def test_auto_takes_what_fits(platform, there, engine, monkeypatch):
+    monkeypatch.setattr("jax.default_backend", lambda: platform)
+    if not there:
+        monkeypatch.setitem(sys.modules, "warp", None)
+    assert resolve_engine("auto")[0] == engine
 
 
 @pytest.mark.parametrize("name", ["mujoco", "warp"])

@@ -91,6 +91,22 @@ def test_imitation_comes_first_and_reward_has_the_last_word():
     assert abs(answer(over, state, 1.0) + 0.25) < 0.06, "what pays, once teaching is over"
 
 
+WANTED = {  # docs/training.md and docs/defaults.md: limit, floor, steps of teaching, noise at first and in the end
+    "scratch": (2.0, 0.004, 1e6, 0.14, 0.02),
+    "bed_bath": (3.0, 0.02, 2e6, 0.08, 0.05),
+    "arm_assist": (5.0, 0.0, 1e6, 0.22, 0.05),
+    "feeding": (0.5, 0.0, 1e6, 0.22, 0.05),
+    "tooth_brushing": (2.0, 0.0, 1e6, 0.22, 0.05),
+}
+
+
+@pytest.mark.parametrize("task", WANTED)
+def test_the_default_is_what_the_pages_say(task):
+    found = configure(task, {}).method
+    noise = [round(float(np.exp(x)), 2) for x in (found.initial_log_std, found.final_log_std)]
+    assert (found.cost_limit, found.teaching_floor, found.teaching_steps, *noise) == WANTED[task]
+
+
 @pytest.mark.parametrize("floor", [0.0, 0.01])
 def test_teaching_stops_for_good_unless_it_has_a_floor(floor):
     ppo = taught(4, 3, teaching_steps=40, teaching_floor=floor)  # one iteration
