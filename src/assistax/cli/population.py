@@ -1,6 +1,5 @@
 """`assistax population ...`: partners as data."""
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -59,7 +58,6 @@ def train(
         address and cores, local cores.
       shard: i/n trains the i-th of n equal parts. Without it machines that share a folder share the work, too.
     """
-    from assistax.executors.jobs import is_worker
     from assistax.files import writing
     from assistax.human import variety
     from assistax.settings import parse_assignments
@@ -89,8 +87,6 @@ def train(
         made = plan.train(folder, part) if using is None else plan.train_with(folder, using, processes)
     if made is None:
         print(f"Not all members are finished yet. Continue with: assistax population train --resume {folder}")
-        if not is_worker():
-            sys.exit(130)
     else:
         print(f"{len(made)} members of {made.task} in {folder}")
 

@@ -1,6 +1,5 @@
 """`assistax teamwork ...`: robots beside people they have never met."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -105,7 +104,6 @@ def best_responses(
       executor: local (default), slurm or ray; see docs/clusters.md.
       executor_set: settings of the executor, as in `assistax population train`.
     """
-    from assistax.executors.jobs import is_worker
     from assistax.files import writing
     from assistax.settings import parse_assignments
     from assistax.teamwork import best_responses as bulk
@@ -130,8 +128,6 @@ def best_responses(
         print(f"{len(bulk.runs_of(folder))} robots in {folder}, for `assistax teamwork evaluate --best-responses`")
     else:
         print(f"Not all robots are finished yet. Continue with: assistax teamwork best-responses --resume {folder}")
-        if not is_worker():
-            sys.exit(130)
 
 
 def adapt(

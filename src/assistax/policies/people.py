@@ -24,6 +24,7 @@ class Reflex:
     """A person who moves the forearm (the mouth, if it drives the neck) toward the tool, or away from it."""
 
     privileged = True
+    ways = 1
     pull = 40.0  # N, on the forearm or mouth
     damping = 0.5  # N m s/rad
 
