@@ -5,8 +5,10 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from stored import small, stored_run
 
 import assistax
+from assistax.cli.crossplay import _entrants
 from assistax.errors import UsageError
 from assistax.evaluation.playing import Evaluator, summarize
 from assistax.learning.actors import Actor
@@ -121,3 +123,11 @@ def test_the_table_names_rows_and_numbers_columns():
     assert head[1:] == ["1", "2"]
     assert cells[:2] == [["1 a", "40 (100%)", "1 (0%)"], ["2 b", "2 (50%)", "30 (25%)"]]
     assert [row[1] for row in cells[2:]] == ["35 (62%)", "2 (25%)"] and {len(row) for row in cells} == {3}
+
+
+def test_names_that_somebody_else_has_are_told_by_their_folder(tmp_path):
+    places = [tmp_path / "one" / "team", tmp_path / "other" / "team", tmp_path / "expert"]
+    for place in places:
+        stored_run(place, small("scratch-v0"))
+    found, _ = _entrants((*map(str, places), "expert"), None, (), ())
+    assert [one.name for one in found] == [*map(str, places), "expert"]

@@ -5,6 +5,9 @@ import sys
 
 def main() -> None:
     """Loads nothing before it can say in one line that it was stopped."""
+    if sys.platform == "win32":
+        print("assistax: on Windows it runs in WSL only.", file=sys.stderr)
+        sys.exit(2)
     try:
         from assistax.cli import main as run
 

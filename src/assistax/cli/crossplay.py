@@ -75,11 +75,14 @@ def _entrants(targets: tuple[str, ...], engine: str | None, assignments: tuple[s
     whose = dict(map(split_pair, partners))
     if partners and not (len(partners) == 1 and is_population(whose.get("human", ""))):
         raise UsageError(f"Cross-play takes --partner human=POP or human=POP:KIND/PART, not {' '.join(partners)}.")
+    scripted = {name for pair in SCRIPTED.items() for name in (pair[0], *pair[1])}
     found = {}
     for target in targets:
         if target not in SCRIPTED:
             env, teams, _ = teams_of(target, "trained" if is_task(target) else None, engine, assignments, partners)
             name = f"trained {env.name}" if is_task(target) else Path(target).name.removesuffix(".safetensors")
+            if name in scripted or [Path(one).name for one in targets].count(Path(target).name) > 1:
+                name = target  # with its folder, where the last part alone could be somebody else
             names = [name] if len(teams) == 1 else [f"{name} {i + 1}" for i in range(len(teams))]
             found[target] = [Entrant(name, env, team) for name, team in zip(names, teams, strict=True)]
     if not found:
