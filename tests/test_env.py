@@ -148,7 +148,7 @@ def test_reward_terms_equal_the_papers_formulas_in_float64(scratch):
 
 def test_work_and_force_over_the_limit_are_sums_over_mujocos_own_numbers(scratch):
     """Torque times speed of every actuated joint, in J, and the seconds in which the robot pushes too hard."""
-    limit = 1.0
+    limit = 1.0  # N; version 0's cost is how far above it the force is, in parts of it
     env = assistax.make("scratch-v0", engine="mujoco", episode_length=20, force_limit=limit)
     work, over, peak, metrics = {"robot": 0.0, "human": 0.0}, 0.0, 0.0, {}
     for before, actions, _, _, _, info in rollout_states(env, 15, start_touching=True):
@@ -161,6 +161,7 @@ def test_work_and_force_over_the_limit_are_sums_over_mujocos_own_numbers(scratch
         work["human"] += power[~is_robot].sum() * env.dt
         force = np.linalg.norm(contact_force(model, data, tool_only=False))
         over += env.dt * (force > limit)
+        np.testing.assert_allclose(info["cost"], max(force / limit - 1.0, 0.0), rtol=2e-3, atol=2e-3)
         peak, metrics = max(peak, force), info["metrics"]
     assert 0 < over < 15 * env.dt
     for agent, expected in work.items():

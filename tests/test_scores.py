@@ -196,3 +196,19 @@ def test_an_interval_of_one_seed_is_over_partners():
     error = x.std(ddof=1) / 2
     np.testing.assert_allclose((low, high), (3 - 3.182446 * error, 3 + 3.182446 * error), rtol=1e-5)
     assert crossed_ci(np.ones((3, 4))) is None and crossed_ci(np.ones((1, 1))) is None
+
+
+def test_intervals_of_differences_are_no_wider_than_they_must_be():
+    """Of many seeds and partners, where the true spread is known: what both share falls out once."""
+    rng, shape, (seeds, partners, both) = np.random.default_rng(0), (20, 20, 40), (0.1, 0.1, 1.0)
+    one, other, met = shape
+    true = np.sqrt((seeds**2 + both**2 / met) * (1 / one + 1 / other) + 2.0 * partners**2 / met)
+    widths = []
+    for _ in range(200):
+        kinds = [
+            seeds * rng.normal(size=(n, 1)) + partners * rng.normal(size=(1, met)) + both * rng.normal(size=(n, met))
+            for n in (one, other)
+        ]
+        low, high = paired_ci(*kinds)
+        widths.append(high - low)
+    assert 0.9 < np.mean(widths) / (2.0 * 1.96 * true) < 1.2

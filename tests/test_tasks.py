@@ -493,3 +493,12 @@ def test_outcomes_count_seconds_within_their_bands(envs):
         for _ in range(63):
             state = env.task.advance(s, state)
         assert bool(env.task.success(state)) == (distance < 0.1)
+
+
+@pytest.mark.parametrize("name", ["scratch", "bed_bath", "arm_assist", "feeding", "tooth_brushing"])
+def test_the_marker_in_films_is_what_is_observed_as_the_target(name):
+    env = assistax.make(name, engine="mujoco")
+    obs, state = jax.jit(env.reset)(jax.random.key(0))
+    at = env.obs_layout("robot")
+    place = obs["robot"][at["tool_pos"]] + obs["robot"][at["target_vector"]]
+    np.testing.assert_allclose(env.markers(state), place, atol=1e-5)
