@@ -16,7 +16,7 @@ from assistax.cli.sweep import sweep
 from assistax.cli.train import train
 from assistax.diagnostics.bench import check_seconds
 from assistax.errors import UsageError
-from assistax.evaluation.film import Camera, film
+from assistax.evaluation.film import Camera, check_format, film
 from assistax.evaluation.filmed import Filmed
 from assistax.evaluation.statistics import bootstrap_ci
 from assistax.human import HumanConfig
@@ -69,6 +69,8 @@ def test_the_rest_that_was_taken_though_wrong(tmp_path):
             check_seconds(seconds)
     with pytest.raises(UsageError, match="The width of a picture must be from 16 to 8192 pixels, not 0"):
         Camera("scratch", width=0)
+    with pytest.raises(UsageError, match="must be even, not 641 x 480"):
+        check_format(Path("film.mp4"), 641, 480)
     with pytest.raises(UsageError, match=r"--set has ppo\.gamma twice; leave out one"):
         parse_assignments(["ppo.gamma=0.9", "ppo.clip_eps=0.1", "ppo.gamma=0.99"])
     with pytest.raises(UsageError, match=r"ppo\.nosuch"):

@@ -61,7 +61,7 @@ XLA shares that between the cores by itself. Compiling all three at once, each i
 shorter, 55 s and 53 s without (measured once, another day). Nor are LLVM's optimisations what takes long: on a faster
 machine the three took 29 s of a core, and 31 without its expensive passes (measured once, with others beside). A warm
 start traces and lowers the same programs, which is Python's work and takes one core. Matplotlib and SciPy are imported
-after the first update, which saves a tenth of it: 10.4 and 10.4 s before, 9.4 and 9.3 since, in turn.
+after the first update, which saves a tenth of it: 10.4 and 10.4 s before, 9.4 and 9.3 since (measured in turn, once).
 
 ## What version 1 costs
 

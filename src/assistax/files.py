@@ -161,6 +161,12 @@ def write_json(path: Path, content: Any) -> None:
     write_atomically(path, json.dumps(content, indent=2).encode())
 
 
+def check_folder(path: Path) -> None:
+    """Raise UsageError unless the folder that a file of --out is to be in exists."""
+    if not path.parent.is_dir():
+        raise UsageError(f"The folder {path.parent} of --out does not exist.")
+
+
 @contextmanager
 def writing(path: Path) -> Generator[None]:
     """What cannot be written inside is a UsageError that names `path`: a full disk, a folder without the right to."""

@@ -8,7 +8,6 @@
 but NumPy, and can be copied to where it is used. What lies where in an observation says `env.obs_layout`.
 """
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -96,10 +95,8 @@ class NumPyTeam:
             arrays |= {f"{agent}.biases.{i}": b for i, b in enumerate(p.biases)}
             if p.gru is not None:
                 arrays |= {f"{agent}.gru.weights": p.gru[0], f"{agent}.gru.bias": p.gru[1]}
-        part = Path(f"{path}.part")  # a file that was there stays whole until this one is
-        with open(part, "wb") as file:
+        with open(path, "wb") as file:
             np.savez(file, **arrays)
-        os.replace(part, path)
 
     @classmethod
     def load(cls, path: str | Path) -> "NumPyTeam":

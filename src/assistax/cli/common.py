@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,6 +12,7 @@ from tyro.conf import arg
 from tyro.constructors import PrimitiveConstructorSpec
 
 from assistax.errors import UsageError, choose
+from assistax.files import check_folder
 
 Task = Annotated[str, tyro.conf.Positional]
 Target = Annotated[str, tyro.conf.Positional, arg(metavar="RUN|TASK")]
@@ -170,14 +172,16 @@ def film_path(out: Path | None, width: int = 2, height: int = 2) -> Path | None:
     """`out`, if a film of so many pixels can go there; asked before anything is played."""
     from assistax.evaluation.film import check_format
 
-    if (out is None or out.suffix == ".mp4") and (width % 2 or height % 2):
-        raise UsageError(f"Width and height of an .mp4 must be even, not {width} x {height}.")
-
+    check_format(out or Path("TASK.mp4"), width, height)
     if out is not None:
-        check_format(out)
-        if not out.parent.is_dir():
-            raise UsageError(f"The folder {out.parent} of --out does not exist.")
+        check_folder(out)
     return out
+
+
+def check_alone(given: Mapping[str, Any]) -> None:
+    """Raise UsageError if any of these options, by name, is given beside --resume, which would ignore it."""
+    if extra := [name for name, value in given.items() if value is not None]:
+        raise UsageError(f"--resume takes everything from the folder; leave out --{extra[0]}.")
 
 
 def film_episode(result, path: Path | None, plain: bool, **camera) -> None:

@@ -2,6 +2,7 @@
 
 import dataclasses
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import tyro
@@ -21,7 +22,7 @@ def export(run: Annotated[Path, tyro.conf.Positional], *, out: Path, seed: Numbe
       out: NAME.safetensors or NAME.npz.
       seed: which of the run's seeds (default the first).
     """
-    from assistax.files import writing
+    from assistax.files import write_atomically
     from assistax.training.numpy_team import as_numpy
     from assistax.training.run import Run
     from assistax.training.team_file import save_team
@@ -33,8 +34,9 @@ def export(run: Annotated[Path, tyro.conf.Positional], *, out: Path, seed: Numbe
     seed = seeds[0] if seed is None else seed
     team = found.teams()[seeds.index(seed)]
     if out.suffix == ".npz":
-        with writing(out):
-            as_numpy(team).save(out)
+        with TemporaryDirectory() as folder:
+            as_numpy(team).save(part := Path(folder, out.name))
+            write_atomically(out, part.read_bytes())
     else:
         save_team(out, team, dataclasses.replace(found.config, seed=seed), found.measured(seed))
     print(f"wrote {out}")

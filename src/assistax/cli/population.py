@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import tyro
 
-from assistax.cli.common import Count, ExecutorSet, File, Name, Number, Set, Switch, find_executor
+from assistax.cli.common import Count, ExecutorSet, File, Name, Number, Set, Switch, check_alone, find_executor
 from assistax.errors import UsageError
 
 Folder = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="POP")]
@@ -67,8 +67,8 @@ def train(
         raise UsageError("Name a task and --out to begin a population, or --resume POP to continue one.")
     given: dict[str, Any] = {"out": out, "people": people, "algorithm": algorithm, "steps": steps, "seeds": seeds}
     given |= {"num-envs": num_envs, "taught": taught, "set": set or None}
-    if resume is not None and (extra := [name for name, value in given.items() if value is not None]):
-        raise UsageError(f"--resume takes everything from the folder; leave out --{extra[0]}.")
+    if resume is not None:
+        check_alone(given)
     using = find_executor(processes, executor, executor_set, here=shard is not None)  # asked before anything is written
     if using is not None and shard is not None:
         raise UsageError("Processes share the work among themselves; leave out --shard.")

@@ -5,8 +5,9 @@ from typing import Annotated
 
 import tyro
 
-from assistax.cli.common import Count, ExecutorSet, File, Name, Number, Set, aligned, find_executor
+from assistax.cli.common import Count, ExecutorSet, File, Name, Number, Set, aligned, check_alone, find_executor
 from assistax.errors import UsageError, choose
+from assistax.files import check_folder
 
 Robots = Annotated[tuple[str, ...], tyro.conf.arg(metavar="[NAME=]RUN[,RUN] ...")]
 Partners = Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="POP", help_behavior_hint="")]
@@ -112,8 +113,8 @@ def best_responses(
     if (population is None) == (resume is None):
         raise UsageError("Name a population and --out to begin, or --resume FOLDER to continue.")
     given = {"out": out, "split": split, "part": part, "steps": steps, "set": set or None}
-    if resume is not None and (extra := [name for name, value in given.items() if value is not None]):
-        raise UsageError(f"--resume takes everything from the folder; leave out --{extra[0]}.")
+    if resume is not None:
+        check_alone(given)
     split, part = split or "random", part or "test"
     _check(None, part)
     using = find_executor(processes, executor, executor_set)  # asked before anything is written
@@ -234,8 +235,8 @@ def _check(out: Path | None, part: str = "test") -> None:
     choose("part", part, ["test", "val"])
     if out is not None and out.suffix != ".json":
         raise UsageError(f"--out must be a .json file, not {out}.")
-    if out is not None and not out.parent.is_dir():
-        raise UsageError(f"The folder {out.parent} of --out does not exist.")
+    if out is not None:
+        check_folder(out)
 
 
 def _named(methods: tuple[str, ...]) -> dict:

@@ -13,7 +13,7 @@ import jax
 from assistax.diagnostics.bench import bench, bench_training
 from assistax.env import make
 from assistax.errors import UsageError, choose
-from assistax.files import read_json, write_json
+from assistax.files import check_folder, read_json, write_json
 from assistax.formats import COUNT
 from assistax.physics import resolve_engine
 from assistax.settings import check_count
@@ -77,8 +77,8 @@ def check_out(path: Path | None) -> None:
     """Raise UsageError unless measurements can be written there."""
     if path is not None and path.suffix != ".json":
         raise UsageError(f"--out must end in .json, not be {path.name!r}.")
-    if path is not None and not path.parent.is_dir():
-        raise UsageError(f"The folder {path.parent} of --out does not exist.")
+    if path is not None:
+        check_folder(path)
 
 
 def plan(tasks: Sequence[str], engine: str, sizes: Sequence[int], train: bool, preset: str) -> list[Measurement]:

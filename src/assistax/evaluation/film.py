@@ -87,10 +87,12 @@ class Camera(Stage):
         return np.array([self.width / 2 + scale * (way @ right), self.height / 2 - scale * (way @ one.up)])
 
 
-def check_format(path: Path) -> None:
-    """Raise UsageError unless `film` can write such a file."""
+def check_format(path: Path, width: int = 2, height: int = 2) -> None:
+    """Raise UsageError unless `film` can write such a file, of so many pixels."""
     if path.suffix not in FILM_FORMATS:
         raise UsageError(f"Can write {', '.join(FILM_FORMATS)}, not {path.name!r}.")
+    if path.suffix == ".mp4" and (width % 2 or height % 2):
+        raise UsageError(f"Width and height of an .mp4 must be even, not {width} x {height}.")
 
 
 def film(filmed: Filmed, path: Path, plain: bool = False, view: str = "auto", **camera) -> None:
@@ -102,7 +104,7 @@ def film(filmed: Filmed, path: Path, plain: bool = False, view: str = "auto", **
     """
     import imageio.v3 as iio
 
-    check_format(path)
+    check_format(path, camera.get("width", 2), camera.get("height", 2))
     rate = FILM_FORMATS[path.suffix]
     with Camera(filmed.task, view="close" if view == "auto" else view, **camera) as cam:
         spots = Spots(cam, filmed)

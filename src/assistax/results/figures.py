@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 
 from assistax.errors import UsageError, choose
 from assistax.evaluation.statistics import FEW_SEEDS, iqm, mean, seed_ci
-from assistax.files import write_atomically
+from assistax.files import check_folder, write_atomically
 from assistax.results.comparison import SCALES, bound_of, expert_of, scale, scales
 from assistax.results.stored import POINTS, Experiment, Method, best_source, by_method, check_comparable, curve
 from assistax.tasks import task_spec
@@ -63,8 +63,7 @@ def check_format(path: Path) -> None:
     """Raise UsageError unless a figure can be written there."""
     if path.suffix not in FORMATS:
         raise UsageError(f"Can write {', '.join(FORMATS)}, not {path.name!r}.")
-    if not path.parent.is_dir():
-        raise UsageError(f"The folder {path.parent} of --out does not exist.")
+    check_folder(path)
 
 
 def save(figure: Figure, path: Path, **settings: Any) -> None:

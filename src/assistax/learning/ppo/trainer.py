@@ -296,8 +296,8 @@ class PPO:
             constraint = updated(state.constraint, batch["episode_cost"], c.cost_limit, c.multiplier_gains)
             # Who began with another run's knowledge has that run's mean in place of the first iteration's.
             known = (state.iteration == 0) & (constraint.per_step > 0.0)
-            share = jnp.where(known, 0.0, 1.0 / (state.iteration + 1))
-            per_step = constraint.per_step + share * (batch["cost"].mean() - constraint.per_step)
+            off = jnp.where(known, 0.0, batch["cost"].mean() - constraint.per_step)
+            per_step = constraint.per_step + off / (state.iteration + 1)
             state = replace(state, constraint=replace(constraint, per_step=per_step))
         samples = self._samples(replace(state, normalizer=used), batch)
         samples = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), samples)
